@@ -15,8 +15,7 @@ sys.path.insert(0, str(DOCS / "_ext"))
 
 from gallery_sources import write_gallery_sources  # noqa: E402
 
-# Compiled kernels and bytecode of a build go where the package puts them; threads are limited, since every tutorial
-# is small.
+# One OpenMP thread is enough, because the images of the tutorials are small.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 project = "PSSF"
@@ -38,6 +37,8 @@ extensions = [
     "column_lists",
     "public_names",
     "axes_drawing",
+    "check_links",
+    "measured_tables",
 ]
 exclude_patterns = [
     "_build",
@@ -51,7 +52,7 @@ exclude_patterns = [
 templates_path = ["_templates"]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
 root_doc = "index"
-# Quotation marks stay as they are, since texts contain values such as "AP".
+# Straight quotation marks are kept, because texts contain values such as "AP".
 smartquotes = False
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath", "fieldlist", "attrs_inline"]
@@ -65,7 +66,7 @@ numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
 numpydoc_xref_param_type = False
 
-# No file from another host is needed to read the pages.
+# With MathML, the pages need no file from another host.
 html_math_renderer = "mathml"
 html_theme = "pydata_sphinx_theme"
 html_title = f"PSSF {release}"
@@ -95,7 +96,7 @@ write_gallery_sources(DOCS)
 sphinx_gallery_conf = {
     "examples_dirs": [str(DOCS / "tutorials"), str(DOCS / "_gallery_src")],
     "gallery_dirs": ["auto_tutorials", "auto_gallery"],
-    # Only tutorials are executed; the scripts of the gallery are executed by the tests.
+    # Only the tutorials are executed in a build, because the tests execute the scripts of the gallery.
     "filename_pattern": r"tutorials",
     "ignore_pattern": r"__init__\.py",
     "within_subsection_order": "FileNameSortKey",

@@ -1,4 +1,4 @@
-"""A page to inspect a knee: its solids, to turn and to take apart, beside its radiograph; opens in any browser."""
+"""Write an HTML page that shows the solids of a knee, all or a selection, next to its radiograph."""
 
 from pathlib import Path
 
@@ -7,13 +7,13 @@ from pssf.io.meshes.knee_viewer import write_viewer
 
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
-    """Write a drawn grade 2 knee as one HTML page; `pixels` is the side of the detector."""
+    """Write a sampled knee of KL 2 as one HTML page; the detector has `pixels` x `pixels` pixels."""
     knee = pssf.sample_knee(grade=2, rng=7)
     reference = pssf.load_protocol("reference")
     protocol = reference.resample(pixels)
     built = pssf.build(knee)
     radiograph = pssf.simulate(built, protocol, rng=7)
-    return [write_viewer(built.scene, radiograph, out / "inspect_knee.html", title="Knee 7, inspected")]
+    return [write_viewer(built.scene, radiograph, out / "inspect_knee.html", title="Knee of KL 2")]
 
 
 if __name__ == "__main__":

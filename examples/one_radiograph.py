@@ -1,4 +1,4 @@
-"""A drawn knee under the reference protocol: TIFF, PNG, and what is known about it."""
+"""Simulate a sampled knee under the protocol `reference`, save it as TIFF and PNG, and print some of its labels."""
 
 from pathlib import Path
 
@@ -6,13 +6,14 @@ import pssf
 
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
-    """Write a grade 2 knee as TIFF and PNG; `pixels` is the side of the detector, which keeps its 307 mm."""
+    """Write a knee of KL 2 as TIFF and PNG; the detector has `pixels` x `pixels` pixels on a field of 307 mm."""
     knee = pssf.sample_knee(grade=2, rng=7)
     reference = pssf.load_protocol("reference")
     protocol = reference.resample(pixels)
     radiograph = pssf.simulate(knee, protocol, rng=7)
-    print(f"medial joint space {radiograph.truth.jsw_medial_mm} mm at pixel {radiograph.truth.medial_joint_line_px}")
-    print(f"rays {radiograph.audit}")
+    row, col = radiograph.truth.medial_joint_line_px
+    print(f"medial joint space {radiograph.truth.jsw_medial_mm:.2f} mm, at row {row:.0f} and column {col:.0f}")
+    print(f"audit of the rays: {radiograph.audit}")
     return [pssf.save(radiograph, out / f"one_radiograph.{suffix}") for suffix in ("tif", "png")]
 
 

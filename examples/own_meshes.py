@@ -1,4 +1,4 @@
-"""Anybody's closed meshes: a water-filled leg with a bone and a titanium screw across it."""
+"""Simulate a phantom from closed meshes: a leg of water, a bone, its canal, and a titanium screw across it."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from pssf.io.pictures import apply_heat_map, make_panel, write_image_row
 
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
-    """Write the radiograph of a phantom and the path through its bone as PNG; `pixels` is the side of the detector."""
+    """Write the radiograph and the path length in bone as one PNG; the detector has `pixels` x `pixels` pixels."""
     leg = trimesh.creation.cylinder(radius=50, height=240, sections=128)
     shaft = trimesh.creation.cylinder(radius=14, height=230, sections=96)
     canal = trimesh.creation.cylinder(radius=9, height=229, sections=96)
@@ -27,13 +27,16 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     protocol = reference.resample(pixels)
     print(pssf.check(scene, protocol))
     radiograph = pssf.simulate(scene, protocol, rng=1, keep=("path_mm",))
-    part = (slice(pixels * 3 // 8, pixels * 5 // 8), slice(pixels // 4, pixels * 3 // 4))
-    bone_mm = radiograph.kept["path_mm"]["cortical_bone"][part]
-    shown = [
-        make_panel(pssf.render_for_display(radiograph.pixels)[part], 320, 640, "radiograph"),
-        make_panel(apply_heat_map(bone_mm, float(bone_mm.max())), 320, 640, "path through cortical bone"),
+    window = (slice(pixels * 3 // 8, pixels * 5 // 8), slice(pixels // 4, pixels * 3 // 4))
+    bone_mm = radiograph.kept["path_mm"]["cortical_bone"][window]
+    longest_mm = float(bone_mm.max())
+    panels = [
+        make_panel(pssf.render_for_display(radiograph.pixels)[window], 320, 640, "radiograph"),
+        make_panel(
+            apply_heat_map(bone_mm, longest_mm), 320, 640, f"path length in cortical bone, 0 to {longest_mm:.0f} mm"
+        ),
     ]
-    return [write_image_row(shown, out / "own_meshes.png")]
+    return [write_image_row(panels, out / "own_meshes.png")]
 
 
 if __name__ == "__main__":

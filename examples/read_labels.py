@@ -1,4 +1,4 @@
-"""A small cohort's labels, each file read with what the field uses, without this package."""
+"""Write the labels of a small cohort, and read each file with common libraries, without this package."""
 
 import csv
 import json
@@ -13,12 +13,12 @@ from pssf.cohort import make_cohort, plan_cohort, write_labels
 
 
 def run(out: Path, pixels: int = 1024) -> list[Path]:
-    """Make knees of KL 0, 2 and 4, write their labels and masks, read them; `pixels` is the side of the detector."""
+    """Make a cohort of KL 0, 2 and 4, and read its masks and labels; the detector has `pixels` x `pixels` pixels."""
     protocol = out / "mine.toml"
     size = f"rows = {pixels}\ncols = {pixels}\npixel_mm = {307.2 / pixels}\n"
     protocol.write_text(f'base = "fixed_flexion"\nname = "mine"\n{size}')
-    asked = {"knees": [1, 0, 1, 0, 1], "grades": "people", "protocols": [str(protocol)]}
-    plan = plan_cohort("quick", seed=3, overrides=asked, masks="tif")
+    overrides = {"knees": [1, 0, 1, 0, 1], "grades": "population", "protocols": [str(protocol)]}
+    plan = plan_cohort("quick", seed=3, overrides=overrides, masks="tif")
     cohort, labels = out / "cohort", out / "labels"
     make_cohort(plan, cohort)
     write_labels(cohort, labels)
@@ -34,25 +34,26 @@ def run(out: Path, pixels: int = 1024) -> list[Path]:
 
 
 def print_readings(path: Path) -> None:
-    """The readings as any table; `pandas.read_csv(path)` gives the same columns."""
+    """Print the readings; `pandas.read_csv(path)` gives the same columns."""
     with path.open(newline="") as file:
         for row in csv.DictReader(file):
             side = {"1": "right", "2": "left"}[row["SIDE"]]
             osteophytes = "/".join(row[name] for name in ("XROSFM", "XROSTM", "XROSFL", "XROSTL"))
             print(
-                f"person {row['ID']}, {side}: KL {row['XRKL']}, read as {row['XRKL_READ']}; least medial space "
-                f"{float(row['MCMJSW']):.2f} mm, at 0.225 {float(row['JSW225']):.2f} mm; osteophytes {osteophytes}"
+                f"subject {row['ID']}, {side}: KL {row['XRKL']}, reader {row['XRKL_READ']}; "
+                f"medial JSW {float(row['MCMJSW']):.2f} mm, at 0.225 of the width {float(row['JSW225']):.2f} mm; "
+                f"osteophytes {osteophytes}"
             )
 
 
 def read_pts(path: Path) -> np.ndarray:
-    """(landmarks, 2)  x and y in pixels of a .pts file"""
+    """Read x and y, in pixels, of the landmarks in a .pts file."""
     lines = path.read_text().split("{")[1].split("}")[0].strip().splitlines()
     return np.array([[float(number) for number in line.split()] for line in lines])
 
 
 def print_keypoints(path: Path) -> str:
-    """COCO keypoints, as pycocotools reads them too; returns the name of the first picture."""
+    """Print keypoints in COCO format, which pycocotools can also read; return the name of the first image."""
     coco = json.loads(path.read_text())
     names = coco["categories"][0]["keypoints"]
     for image, annotation in zip(coco["images"], coco["annotations"], strict=True):
@@ -62,14 +63,14 @@ def print_keypoints(path: Path) -> str:
 
 
 def print_folders(folder: Path) -> None:
-    """Pictures in a folder a grade: torchvision's `ImageFolder(folder)` takes the folders' names for classes."""
+    """Count the images per grade; `torchvision.datasets.ImageFolder(folder)` reads the same folders as classes."""
     counts = Counter(path.parent.name for path in folder.glob("*/*.png"))
     size = Image.open(next(folder.glob("*/*.png"))).size
     print(f"images: {', '.join(f'{n} of KL {grade}' for grade, n in sorted(counts.items()))}; {size[0]} x {size[1]}")
 
 
 def print_masks(path: Path) -> None:
-    """A TIFF of one page a mask, which bears its name; 0 or 255."""
+    """Print the area of each mask; the TIFF has one page per mask, with its name and the values 0 and 255."""
     with tifffile.TiffFile(path) as tiff:
         sizes = {page.tags["PageName"].value: np.count_nonzero(page.asarray()) for page in tiff.pages}
     print(f"{path.name}: {', '.join(f'{name} {size:,}' for name, size in sizes.items())} pixels")

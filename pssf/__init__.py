@@ -1,38 +1,38 @@
-"""Knee radiographs from physics with labels that are true by construction, and the radiomics study for them.
+"""Simulate knee radiographs from physics with true labels, and run a radiomics study on them.
 
 core        input checks, timing, progress display, parallel execution
 data        tables of the package as typed, frozen records
-model       input and output types: knee, protocol, radiograph, truth; sampling of knees
+model       input and output types: knee, protocol, radiograph, truth; sampling of knees and acquisitions
 geometry    views, scenes, densities, mesh repair
 anatomy     knee                 -> built knee: its scene and its labels
 raycast     scene, protocol      -> path lengths; check(scene) -> faults of the scene
 xray        spectrum, materials, primary beam
-scatter     scatter kernel, Monte Carlo, anti-scatter grid
+scatter     scatter kernel, Monte Carlo simulation, anti-scatter grid
 detector    blur, noise, readout, display processing
-stages      the imaging chain, stage by stage
-precompile  after an installation: kernels are compiled in two processes
-image_faults  radiograph         -> warnings about a radiograph that may not be as intended
+stages      stages of the imaging chain, from path lengths to pixels
+image_faults  radiograph         -> warnings about unintended properties of a radiograph
 simulation  knee, protocol       -> radiograph
-io          files; the only package that writes to the disk
+io          reading and writing of files; no other subpackage writes files
 cohort      preset, seed         -> radiographs and their manifest
 radiomics   radiograph           -> region and features              (extra "study")
 study       features             -> models, statistics, report       (extra "study")
-experiment  a cohort, then its study
-benchmark   a frozen data set with splits and baselines              (extra "study")
-quality     image quality of a protocol beside reference values
-explore     a page with sliders in the browser                       (extra "explore")
+experiment  run of a cohort and its study
+benchmark   frozen data set with splits and baselines                (extra "study")
+quality     image quality of a protocol, compared with reference values
+explore     interactive page in the browser                          (extra "explore")
 validation  numerical error and run time
-patient_comparison  simulated knees beside patients' bones, landmarks and radiographs  (extra "study")
+patient_comparison  comparison with bones, landmarks and radiographs of patients  (extra "study")
 cli         command line
 
-A module imports only from modules above it. The public names are in `__all__` and are loaded on first use.
+A subpackage imports only from subpackages above it in this list. Public names are in `__all__`, and are loaded on first
+use.
 """
 
 from __future__ import annotations
 
 from importlib import import_module
 
-# Not from `typing`: `python -m pssf` would then run a file `typing.py` or `enum.py` of the working folder.
+# TYPE_CHECKING is not imported, because `python -m pssf` would run a file `typing.py` of the working folder.
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
@@ -137,7 +137,7 @@ __all__ = [
 ]
 
 
-# Earlier name -> current name.
+# Current names, keyed by earlier name.
 _RENAMED = {
     "draw_exposure": "sample_acquisition",
     "draw_knee": "sample_knee",

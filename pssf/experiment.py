@@ -1,4 +1,4 @@
-"""Whole experiments: make the cohort of a preset, then run the radiomics study on it."""
+"""Experiments: make the cohort of a preset and run the radiomics study on it."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -23,6 +23,7 @@ from .io.cohort_records import read_manifest
 from .io.mask_files import load_masks
 from .io.patients import patient_radiographs as film_files
 from .io.radiograph_files import load
+from .io.study_results import save_text
 from .model.knee import Knee, Osteophyte
 from .model.protocol import load_protocol
 from .simulation import simulate
@@ -35,6 +36,13 @@ from .study import (
     require_extra,
     run,
 )
+from .study.design.experiment_settings import (
+    DesignSizes,
+    ExperimentSettings,
+    PatientFilms,
+    format_settings,
+    merge_settings,
+)
 from .study.design.response_curve_design import plan_response_curves
 
 if TYPE_CHECKING:
@@ -42,15 +50,16 @@ if TYPE_CHECKING:
 
     from .radiomics.localisation.templates import Template
 
-# Tables of a study that the READMEs show.
-README_TABLES = ("scores", "reliability", "claims", "cost")
-# Protocol -> knees of the templates, from a healthy medial joint space to one narrower than in any grade of the table
-# `paper`. Both views are needed: the rims of the plateau overlap in one and are separate in the other.
+# Name of the settings file in the folder of an experiment.
+SETTINGS_FILE = "study.toml"
+# Protocol -> knees of the localisation templates. Their medial joint spaces range from healthy to narrower than in any
+# grade of the table `paper`. Both protocols are needed, because the anterior and posterior plateau rims overlap in only
+# one of them.
 _TEMPLATE_KNEES = {
     "reference": (Knee(jsw_medial_mm=5.0), Knee(jsw_medial_mm=3.5), Knee(jsw_medial_mm=2.0)),
     "fixed_flexion": (Knee(jsw_definition="read", jsw_medial_mm=4.5), Knee(jsw_definition="read", jsw_medial_mm=2.0)),
 }
-# Knee of a severe template, as patients of KL 4 have it: lost medial joint space, osteophytes at all margins, varus leg
+# Knee of the template for severe osteoarthritis (KL 4): no medial joint space, osteophytes at all margins, varus leg
 # and sclerotic subchondral bone plate.
 _SEVERE_KNEE = Knee(
     jsw_definition="read",
@@ -68,65 +77,24 @@ _SEVERE_KNEE = Knee(
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class PatientFilms:
-    """Patient radiographs on disk, and how models are trained for them.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of images, or a CSV file that lists them (`io.patients.patient_radiographs.list_films`).
-    protocol : str, optional
-        Protocol of the cohort that the models are trained on. None: the reference protocol of the study.
-    pixel_mm : float, optional
-        Pixel pitch, in mm, to which patient radiographs and cohort are resampled. None: see `study.FilmSet`.
-    region_mm : float, optional
-        Side of the region, in mm. None: see `study.FilmSet`.
-    """
-
-    folder: Path
-    protocol: str | None = None
-    pixel_mm: float | None = None
-    region_mm: float | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class DesignSizes:
-    """Sizes of the designed experiments beside a cohort; 0 leaves an experiment out.
-
-    Parameters
-    ----------
-    curve_knees : int, default 0
-        Knees of the response curves (`study.design.response_curve_design`).
-    sobol_samples : int, default 0
-        Samples of the Sobol design (`study.design.sensitivity_plan`), 64 or more.
-    sensitivity_knees : int, default 0
-        Knees of which one parameter at a time is changed.
-    """
-
-    curve_knees: int = 0
-    sobol_samples: int = 0
-    sensitivity_knees: int = 0
-
-
 @dataclass(frozen=True)
 class Experiment:
-    """Finished cohort, and the settings of the study on it.
+    """Finished cohort and the settings of its study.
 
     Attributes
     ----------
     out : Path
         Folder of the experiment.
     engine : {"scanline", "embree"}
-        Ray caster that made the radiographs.
+        Ray caster of the radiographs.
     settings : StudySettings
         Settings of the study.
     manifest : DataFrame
         Manifest of the cohort, with files relative to `out`.
     retest : DataFrame or None
-        Manifest of the repeated radiographs. Each row has the number of the knee that was repeated. None without them.
+        Manifest of the repeated radiographs, with the numbers of the repeated knees. None if no radiograph is repeated.
     films : FilmSet or None
-        Patient radiographs used as a further test set.
+        Patient radiographs used as an additional test set.
     designed : DesignedManifests
         Manifests of the designed experiments.
     """
@@ -141,84 +109,71 @@ class Experiment:
 
 
 def make_experiment(
-    out: Path,
-    execution: Execution,
-    *,
-    preset: str,
-    seed: int,
-    engine: str,
-    cohort: Mapping[str, Any] | None = None,
-    settings: Mapping[str, Any] | None = None,
-    films: PatientFilms | None = None,
-    design_sizes: DesignSizes | None = None,
+    out: Path, execution: Execution, settings: Mapping[str, Any] | ExperimentSettings | None = None
 ) -> Experiment:
     """Make the cohort of an experiment, its repeated radiographs and its designed experiments.
 
-    An interrupted run continues in the same folder.
+    If a run was interrupted, another call with the same folder continues it. The settings of the experiment are written
+    to ``out/study.toml``.
 
     Parameters
     ----------
     out : Path
-        Folder of the experiment. The cohort is written to ``out/cohort``, the repeated radiographs to ``out/repeats``.
+        Folder of the experiment. The cohort is written to ``out/cohort`` and the repeated radiographs to
+        ``out/repeats``. Designed experiments are written to ``out/response_curves``, ``out/sobol_samples`` and
+        ``out/sensitivity_pairs``.
     execution : Execution
         Workers, progress display and timer.
-    preset : str
-        Name of a cohort preset.
-    seed : int
-        Seed of the cohort and of the study.
-    engine : {"scanline", "embree"}
-        Ray caster.
-    cohort : mapping of str to object, optional
-        Entries that replace those of the preset, as for `cohort.plan_cohort`.
-    settings : mapping of str to object, optional
-        Fields of `StudySettings` that replace the defaults.
-    films : PatientFilms, optional
-        Patient radiographs to test the models on.
-    design_sizes : DesignSizes, optional
-        Sizes of the designed experiments. Their radiographs are written to ``out/response_curves``,
-        ``out/sobol_samples`` and ``out/sensitivity_pairs``.
+    settings : mapping of str to object or ExperimentSettings, optional
+        Settings with the names of the settings file, such as ``{"preset": "quick", "knees": [4, 0, 4], "bins": 32}``,
+        or the result of `merge_settings`. None: the settings of the preset ``quick``.
 
     Returns
     -------
     Experiment
-        The cohort and the settings of its study.
+        Cohort and settings of its study.
 
     Raises
     ------
     InputError
-        If the preset is unknown, a library is missing, the folder holds something else or cannot be written, or the
-        scheduler cannot be used.
+        If a setting or the preset is unknown, a library is missing, the folder contains other files or cannot be
+        written, or the scheduler cannot be used.
     WorkersLostError
-        If workers are killed again and again.
+        If workers are killed repeatedly.
     """
     require_extra(execution.scheduler)
-    from .study.design.sensitivity_plan import compute_bounds  # Needs the extra `study`.
+    from .study.design.sensitivity_plan import compute_bounds  # Needs the `study` extra.
 
-    plan = plan_cohort(preset, seed=seed, overrides=cohort)
+    given = settings if isinstance(settings, ExperimentSettings) else merge_settings(settings or {})
+    plan = plan_cohort(given.preset, seed=given.seed, overrides=given.cohort)
     names = [exposure.protocol.name for exposure in plan.cases[0].exposures]
-    known = {"repeats": plan.repeats, "seed": seed, "reference": "reference" if "reference" in names else names[0]}
-    chosen = StudySettings(**{**known, **(settings or {})})
-    film_set = None if films is None else _make_film_set(films, out, names, chosen)
-    wanted = design_sizes or DesignSizes()
-    # Planned before the cohort is made, so that wrong sizes raise an error before an hour of work.
-    plans = _make_design_plans(plan, wanted, chosen.reference)
-    manifest = _make_manifest(plan, out, "cohort", engine, execution)
+    known = {"repeats": plan.repeats, "reference": "reference" if "reference" in names else names[0]}
+    chosen = StudySettings(**{**known, **given.study, "seed": given.seed})
+    film_set = None if given.films is None else _make_film_set(given.films, out, names, chosen)
+    # The designed experiments are planned before the cohort is made, so that wrong sizes raise an error early.
+    plans = _make_design_plans(plan, given.design_sizes, chosen.reference)
+    manifest = _make_manifest(plan, out, "cohort", given.engine, execution)
     repeats, retest = plan_retest(plan, reference=chosen.reference), None
     if repeats is not None:
-        retest = _make_manifest(repeats, out, "repeats", engine, execution)
-        retest = retest.assign(knee=retest["of_knee"])
-    made = {name: _make_manifest(one, out, name, engine, execution) for name, one in plans.items()}
+        retest = _make_manifest(repeats, out, "repeats", given.engine, execution)
+        retest = retest.assign(knee=retest["source_knee"])
+    made = {name: _make_manifest(one, out, name, given.engine, execution) for name, one in plans.items()}
     bounds = compute_bounds(plan, chosen.reference) if made.keys() & {"sobol_samples", "sensitivity_pairs"} else {}
-    designed = DesignedManifests(**made, sobol_sample_count=wanted.sobol_samples, bounds=bounds)
+    designed = DesignedManifests(**made, sobol_sample_count=given.design_sizes.sobol_samples, bounds=bounds)
     for folder in (out, out / "pictures", out / "models"):
         delete_stale_temporary_files(folder)
-    return Experiment(out, engine, chosen, manifest, retest, film_set, designed)
+    assert plan.definition is not None
+    # The settings are written after the cohort, so that a folder with another cohort keeps its own settings.
+    resolved = format_settings(replace(given, preset=plan.preset), plan.definition, chosen)
+    save_text(out / SETTINGS_FILE, resolved)
+    return Experiment(out, given.engine, chosen, manifest, retest, film_set, designed)
 
 
 def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
-    """Run the study of an experiment: regions, features, models and report, written into its folder.
+    """Run the study of an experiment and write regions, features, models and report to its folder.
 
-    If an earlier run is complete, and cohort, settings, code and files have not changed since, its result is returned.
+    The result of an earlier run is returned if that run is complete, and cohort, settings, code and files have not
+    changed.
 
     Parameters
     ----------
@@ -235,11 +190,11 @@ def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
     Raises
     ------
     InputError
-        As raised by `study.run`.
+        Under the same conditions as in `study.run`.
     WorkersLostError
-        If workers are killed again and again.
+        If workers are killed repeatedly.
     """
-    from .study import resume  # Needs the extra `study`.
+    from .study import resume  # Needs the `study` extra.
 
     every = (experiment.manifest, experiment.retest, *experiment.designed.list_manifests())
     manifests = [table for table in every if table is not None]
@@ -256,30 +211,6 @@ def run_experiment(experiment: Experiment, execution: Execution) -> StudyResult:
         )
         resume.save_finished_run(result, experiment.out, key)
     return result
-
-
-def collect_readme_rows(result: StudyResult) -> dict[str, list[dict[str, Any]]]:
-    """Collect the rows of the tables that the READMEs show.
-
-    Parameters
-    ----------
-    result : StudyResult
-        Result of a study.
-
-    Returns
-    -------
-    dict of str to list of dict
-        Name in `README_TABLES` and rows of the table.
-    """
-    from .io import study_results
-    from .study.statistics.features.reliability import count_stable_features
-
-    return {
-        "scores": result.scores.to_dict("records"),
-        "reliability": count_stable_features(result.reliability).to_dict("records"),
-        "claims": study_results.load_typed_table(result.tables["claims"]).to_dict("records"),
-        "cost": (study_results.load_json(result.report.parent / "study.json", dict[str, Any]) or {}).get("cost", []),
-    }
 
 
 def measure_experiment(experiment: Experiment, execution: Execution) -> Path:
@@ -300,15 +231,15 @@ def measure_experiment(experiment: Experiment, execution: Execution) -> Path:
     Raises
     ------
     InputError
-        As raised by `study.measure`.
+        Under the same conditions as in `study.measure`.
     WorkersLostError
-        If workers are killed again and again.
+        If workers are killed repeatedly.
     """
     return measure(*_prepare_study_inputs(experiment, execution), retest=experiment.retest, execution=execution)
 
 
 def _prepare_study_inputs(experiment: Experiment, execution: Execution) -> tuple[Any, ...]:
-    """Make the templates and collect the positional arguments of `study.run` and `study.measure`."""
+    """Make the localisation templates and collect the positional arguments of `study.run` and `study.measure`."""
     with execution.timer.stage("templates"):
         templates = make_standard_templates(experiment.engine, workers=execution.workers)
     load_pixels = partial(load_radiograph_pixels, experiment.out.absolute())
@@ -316,22 +247,23 @@ def _prepare_study_inputs(experiment: Experiment, execution: Execution) -> tuple
 
 
 def make_standard_templates(engine: str = "embree", *, workers: int = 1) -> "tuple[Template, ...]":
-    """Make the templates with which joints are located on radiographs.
+    """Make the templates for the localisation of joints on radiographs.
 
-    The first template shows a standard knee. Others show narrower medial joint spaces and another view, and the last
-    one severe osteoarthritis. They have no noise, and all are scaled to the plateau width of the first one.
+    The first template shows a standard knee. Further templates show narrower medial joint spaces and another view, and
+    the last template shows severe osteoarthritis. Templates have no noise, and all are scaled to the plateau width of
+    the first template.
 
     Parameters
     ----------
     engine : {"embree", "scanline"}, default "embree"
         Ray caster.
     workers : int, default 1
-        Processes. With one, two threads are used instead.
+        Number of processes. If it is 1, the process uses two threads.
 
     Returns
     -------
     tuple of Template
-        Templates, the standard knee first.
+        Templates; the standard knee is first.
     """
     usual = [(knee, protocol, False) for protocol, of in _TEMPLATE_KNEES.items() for knee in of]
     seen = [*usual, (_SEVERE_KNEE, "fixed_flexion", True)]
@@ -341,7 +273,7 @@ def make_standard_templates(engine: str = "embree", *, workers: int = 1) -> "tup
 
 
 def _make_template(case: tuple[Knee, str, bool], engine: str, threads: int) -> "Template":
-    """Simulate the template of one case: knee, name of its protocol, and whether it shows severe osteoarthritis."""
+    """Simulate a template. `case` has the knee, the protocol name, and whether the knee has severe osteoarthritis."""
     from .radiomics.localisation.templates import Template
 
     knee, name, severe = case
@@ -361,7 +293,7 @@ def _make_template(case: tuple[Knee, str, bool], engine: str, threads: int) -> "
 
 
 def _make_manifest(plan: Plan, out: Path, name: str, engine: str, execution: Execution) -> "pd.DataFrame":
-    """Make the missing radiographs of a plan in out/name, and return their manifest with files relative to `out`."""
+    """Make the missing radiographs of a plan in out/name and return the manifest with files relative to `out`."""
     with execution.stage(name, "radiographs", sum(len(case.exposures) for case in plan.cases)) as stage:
         path = make_cohort(
             plan,
@@ -376,8 +308,8 @@ def _make_manifest(plan: Plan, out: Path, name: str, engine: str, execution: Exe
 
 
 def _make_design_plans(plan: Plan, design_sizes: DesignSizes, reference: str) -> dict[str, Plan]:
-    """Plan the designed experiments that are asked for, by the name of their folder."""
-    from .study.design import sensitivity_plan  # Needs the extra `study`.
+    """Plan the requested designed experiments, keyed by folder name."""
+    from .study.design import sensitivity_plan  # Needs the `study` extra.
 
     plans: dict[str, Plan] = {}
     if design_sizes.curve_knees:
@@ -394,15 +326,15 @@ def _make_design_plans(plan: Plan, design_sizes: DesignSizes, reference: str) ->
 
 
 def _prefix_files(folder: str, manifest: "pd.DataFrame") -> "pd.DataFrame":
-    """Prefix the files of a manifest with the folder, so that they are relative to the folder above."""
+    """Prefix the file names of a manifest with a folder, so that they are relative to the parent folder."""
     files = [name for name in ("file", "masks") if name in manifest]
     return manifest.assign(**{name: f"{folder}/" + manifest[name] for name in files})
 
 
 def _make_film_set(patient_films: PatientFilms, out: Path, protocols: list[str], settings: StudySettings) -> FilmSet:
-    """List the patient radiographs of a folder, with functions that load them and the cohort's radiographs alike."""
+    """List the patient radiographs of a folder, with functions that load patient and simulated radiographs."""
     protocol = settings.reference if patient_films.protocol is None else patient_films.protocol
-    require_choice("films-protocol", protocol, protocols)
+    require_choice("films_protocol", protocol, protocols)
     folder = patient_films.folder.parent if patient_films.folder.suffix.lower() == ".csv" else patient_films.folder
     return FilmSet(
         films=film_files.list_films(patient_films.folder),
@@ -415,17 +347,17 @@ def _make_film_set(patient_films: PatientFilms, out: Path, protocols: list[str],
 
 
 def _read_film(folder: Path, file: str) -> film_files.FilmImage:
-    """Read one patient radiograph of a folder."""
+    """Read one patient radiograph from a folder."""
     return film_files.read_film(folder / file)
 
 
 def load_radiograph_pixels(folder: Path, file: str) -> NDArray[np.uint16]:
-    """Load the pixels of a radiograph of a cohort.
+    """Load the pixels of a radiograph in a cohort.
 
     Parameters
     ----------
     folder : Path
-        Folder that the files of the manifest are relative to.
+        Folder relative to which the manifest lists files.
     file : str
         Entry of the column ``file`` of the manifest.
 
@@ -438,5 +370,5 @@ def load_radiograph_pixels(folder: Path, file: str) -> NDArray[np.uint16]:
 
 
 def _load_masks(folder: Path, file: str) -> dict[str, NDArray[np.bool_]]:
-    """Load the masks of a radiograph by the entry of the column ``masks``; name -> (rows, cols) bool array."""
+    """Load the masks of a radiograph, named in the column ``masks``, as a dict of name to (rows, cols) bool array."""
     return load_masks(folder / file)

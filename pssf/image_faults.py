@@ -1,4 +1,4 @@
-"""Warnings about a radiograph that is made as requested: materials, field of view, saturation and landmarks."""
+"""Warnings about a simulated radiograph: materials, field of view, saturation and landmarks."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -20,34 +20,34 @@ from .xray.resolved_technique import Technique
 
 # Fraction of the pixels of the object above which saturation causes a warning.
 _SATURATED = 0.001
-# Width of the rim along the outline of the object that is not checked for saturation, in mm on the detector.
+# Width of the margin along the outline of the object that is not checked for saturation, in mm on the detector.
 _RIM_MM = 5.0
-# Number of points along the shorter side of the detector at which saturation is checked.
+# Number of sample points along the shorter side of the detector for the saturation check.
 _PLACES = 300
-# Number of landmarks that a warning names.
+# Maximum number of landmarks that a warning names.
 _MAX_NAMED_LANDMARKS = 3
-# Parts of landmark names that an axial view need not show, because it is made for patella and trochlea.
+# Parts of the names of landmarks that need not be visible in an axial view, which is made for patella and trochlea.
 _IGNORED_AXIAL_LANDMARKS = ("plateau", "fibula")
 
 
 class ImageNotice(UserWarning):
-    """Warning that a radiograph may not be what was meant; the message states why and what to do."""
+    """Warning that a radiograph may differ from what the user intended; the message states the cause and a remedy."""
 
 
 def require_materials(scene: Scene, technique: Technique) -> None:
-    """Raise an error for unknown materials, and for an ambient material that is no gas.
+    """Raise an error for unknown materials, and for an ambient material that is not a gas.
 
     Parameters
     ----------
     scene : Scene
         Closed surfaces with their materials.
     technique : Technique
-        Resolved protocol, whose tissues are known.
+        Resolved protocol with the table of tissues.
 
     Raises
     ------
     InputError
-        If a material is unknown, or the ambient material is denser than a gas; the message names it.
+        If a material is unknown, or the ambient material is denser than a gas. The message names the material.
     """
     for name in scene.materials:
         technique.material(name)
@@ -60,14 +60,14 @@ def require_materials(scene: Scene, technique: Technique) -> None:
 
 
 def find_material_faults(scene: Scene, technique: Technique) -> list[str]:
-    """Find formulas that resemble the name of an alloy.
+    """Find material formulas that resemble an alloy name.
 
     Parameters
     ----------
     scene : Scene
         Closed surfaces with their materials.
     technique : Technique
-        Resolved protocol, whose tissues are known.
+        Resolved protocol with the table of tissues.
 
     Returns
     -------
@@ -79,19 +79,19 @@ def find_material_faults(scene: Scene, technique: Technique) -> list[str]:
 
 
 def find_field_faults(path_mm: Mapping[str, Any], technique: Technique) -> list[str]:
-    """Check whether any ray in the field of view meets the scene.
+    """Check whether any ray in the irradiated field meets the scene.
 
     Parameters
     ----------
     path_mm : mapping of str to (rows, cols) array, mm
         Path length per material, as arrays or sparse maps.
     technique : Technique
-        Resolved protocol, which defines the field.
+        Resolved protocol, which defines the irradiated field.
 
     Returns
     -------
     list of str
-        One warning if no ray meets the scene, else none.
+        List with one warning if no ray meets the scene, else an empty list.
     """
     rows, cols = _irradiated_slices(technique)
     if is_collimated(technique.protocol):
@@ -107,7 +107,7 @@ def find_field_faults(path_mm: Mapping[str, Any], technique: Technique) -> list[
 
 
 def find_saturation_faults(pixels: NDArray[np.uint16], scene: Scene, technique: Technique) -> list[str]:
-    """Check for saturation of more than 0.1 % of the pixels of the object, without a rim along its outline.
+    """Check for saturation of more than 0.1 % of the object's pixels, excluding a margin along its outline.
 
     Parameters
     ----------
@@ -121,17 +121,17 @@ def find_saturation_faults(pixels: NDArray[np.uint16], scene: Scene, technique: 
     Returns
     -------
     list of str
-        One warning if there is saturation, else none.
+        List with one warning if too many pixels are saturated, else an empty list.
     """
     full = pixels >= MAX_DN
     if not full.any():
         return []
-    # A few hundred points along each side are enough for an estimate of the fraction.
+    # A few hundred sample points along each side are enough to estimate the saturated fraction.
     view = technique.view
     step = max(1, min(view.rows, view.cols) // _PLACES)
     sparse = replace(view, rows=view.rows // step, cols=view.cols // step, pixel_mm=view.pixel_mm * step)
     covered = compute_scene_silhouette(scene, sparse)
-    # At its outline an object is so thin that any usual exposure saturates.
+    # At its outline, an object is so thin that any usual exposure saturates the detector there.
     within = distance_transform_edt(np.pad(covered, 1, mode="edge"))[1:-1, 1:-1] * sparse.pixel_mm > _RIM_MM
     covered = within if within.any() else covered
     seen = full[step // 2 :: step, step // 2 :: step][: sparse.rows, : sparse.cols]
@@ -145,7 +145,7 @@ def find_saturation_faults(pixels: NDArray[np.uint16], scene: Scene, technique: 
 
 
 def find_landmark_faults(truths: Iterable[Truth], technique: Technique) -> list[str]:
-    """Check whether the image shows all landmarks.
+    """Check whether all landmarks are inside the irradiated image.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def find_landmark_faults(truths: Iterable[Truth], technique: Technique) -> list[
     Returns
     -------
     list of str
-        One warning if landmarks are outside, else none.
+        List with one warning if landmarks are outside, else an empty list.
     """
     rows, cols = _irradiated_slices(technique)
     beside = _IGNORED_AXIAL_LANDMARKS if technique.protocol.projection == "axial" else ()
@@ -179,7 +179,7 @@ def find_landmark_faults(truths: Iterable[Truth], technique: Technique) -> list[
 
 
 def _irradiated_slices(technique: Technique) -> tuple[slice, slice]:
-    """Find the rows and columns of the detector in the collimated field, or all of them."""
+    """Find the rows and columns of the detector in the collimated field; all of them without collimation."""
     view = technique.view
     half_width, half_height = field_half_size_mm(technique)
     sides = []

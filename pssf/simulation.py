@@ -1,4 +1,4 @@
-"""Simulation of a radiograph from a knee, both knees, or any scene, and a protocol."""
+"""Simulate a radiograph of a knee, of both knees, or of any scene, with a protocol."""
 
 import warnings
 from collections.abc import Collection
@@ -40,7 +40,6 @@ from .image_faults import (
 from .model.knee import Knee
 from .model.protocol import Protocol, load_protocol
 from .model.radiograph import Radiograph, Truth
-from .precompile import precompile_in_background
 from .raycast import (
     ENGINES,
     Audit,
@@ -54,19 +53,19 @@ from .stages import LatentImage, StageContext, run_stages
 from .xray.collimator import field_half_size_mm
 from .xray.resolved_technique import Technique, resolve_technique
 
-# Names of the maps that a radiograph can keep.
+# Names of the intermediate maps that a radiograph can keep.
 KEEPABLE_MAPS = ("path_mm", "primary", "scatter", "noise_free", "masks")
-# Everything that `simulate` makes a radiograph of.
+# Types of objects that `simulate` accepts.
 Subject = Knee | BuiltKnee | BuiltPair | Scene | tuple[Knee | BuiltKnee, Knee | BuiltKnee]
-# Text of the warning for the scatter kernel in axial views.
+# Text of the warning about the scatter kernel in axial views.
 _AXIAL_KERNEL_WARNING = (
-    "scatter = 'kernel' is not fitted to axial views; scatter is about 30 % too high (protocols/README.md); "
-    "use scatter = 'monte_carlo', which is valid in every view"
+    "scatter = 'kernel' is not fitted to axial views; scatter is about 30 % too high "
+    "(docs/validation/views_and_quality.md); use scatter = 'monte_carlo', which is valid in every view"
 )
 
 
 class KernelNotice(UserWarning):
-    """Warning that the scatter kernel is used outside its range; the message states the error."""
+    """Warning that the scatter kernel is used outside its valid range; the message states the error."""
 
 
 @check_keywords(seed="rng")
@@ -86,27 +85,28 @@ def simulate(
     Parameters
     ----------
     knee : Knee, BuiltKnee, (right, left) pair, BuiltPair or Scene
-        A knee; or the result of `build`, which several protocols with the same posture can share; or a right and a left
-        knee for a protocol that images both (`knee_distance_mm`); or a scene, which is traced at its own position.
+        Object to image. A result of `build` can be used for several protocols with the same posture. A right and a left
+        knee require a protocol that images both (`knee_distance_mm`). A scene is imaged at its own position.
     protocol : Protocol, str or path
         Technique, geometry and detector. A name or path is loaded with `load_protocol`.
     rng : int or numpy.random.Generator, default 0
-        Seed of the noise. The same integer gives the same bytes for any number of workers. A Generator provides the
-        integer, which the radiograph stores as `seed`.
+        Seed of the noise. The same integer gives identical pixels for any number of workers. From a Generator, an
+        integer is sampled, which the radiograph stores as `seed`.
     keep : collection of str, default ()
         Maps to store in `Radiograph.kept`: ``"path_mm"``, ``"primary"``, ``"scatter"`` and ``"noise_free"``.
-        ``"masks"`` adds silhouettes of the parts of a knee to `truth`.
+        ``"masks"`` adds the silhouettes of bones, osteophytes, cysts and implants to `truth`.
     engine : {"embree", "scanline"}, default "embree"
-        Ray caster; both agree to 1e-9 mm.
+        Ray caster; the path lengths of the two engines agree within 1e-9 mm.
     workers : int, default 2
         Number of threads, from 1 to 256; it does not change the result.
     paths : Paths, optional
-        Result of `trace` for this scene, if several protocols share source and detector position.
+        Result of `trace` for the same scene and view. It can be used for several protocols with the same source and
+        detector position.
 
     Returns
     -------
     Radiograph
-        Pixels, with the protocol, seed, labels and provenance.
+        Pixels with the protocol, the seed, labels and provenance.
 
     Raises
     ------
@@ -142,15 +142,15 @@ def simulate(
     seed = resolve_seed(rng)
     _require_arguments(knee, protocol, keep, engine, workers)
     clock = Timer()
-    subject = _build_subject(knee, protocol, engine, workers)
-    # The radiograph stores the final beam direction, and not the rule by which it was found.
+    subject = _build_subject(knee, protocol, workers)
+    # The radiograph stores the final beam angle instead of the rule that determined it.
     protocol = subject.aim_beam(protocol) if isinstance(subject, BuiltKnee) else protocol
     technique = resolve_technique(protocol)
     scene = subject if isinstance(subject, Scene) else subject.scene
     if not isinstance(subject, Scene):
         require_detector_clearance(scene, protocol)
     clock.lap("anatomy")
-    require_materials(scene, technique)  # Unknown materials raise InputError before rays are cast.
+    require_materials(scene, technique)  # Materials are checked before the slow ray casting.
     chain = StageContext(technique=technique, engine=engine, seed=seed, keep=frozenset(keep), workers=workers)
     image, audit = _trace_scene(scene, chain, paths)
     clock.lap("rays")
@@ -180,7 +180,7 @@ def simulate(
 
 
 def _find_kernel_warnings(technique: Technique) -> list[KernelNotice]:
-    """Warn if the scatter kernel is used outside its range."""
+    """Return a warning if the scatter kernel is used outside its valid range."""
     protocol = technique.protocol
     if protocol.scatter != "kernel":
         return []
@@ -194,14 +194,14 @@ def _find_kernel_warnings(technique: Technique) -> list[KernelNotice]:
     return [
         KernelNotice(
             f"scatter = 'kernel' is not fitted to a field of {width_mm:.0f} x {height_mm:.0f} mm, less than {least} mm;"
-            f" scatter at the joint is {off.low:g} to {off.high:g} times that of the Monte Carlo; "
+            f" scatter at the joint is {off.low:g} to {off.high:g} times that of the Monte Carlo simulation; "
             "use scatter = 'monte_carlo', which is valid for every field"
         )
     ]
 
 
 def _require_arguments(knee: Subject, protocol: Protocol, keep: Collection[str], engine: str, workers: int) -> None:
-    """Raise InputError unless all arguments of `simulate` are valid and fit together."""
+    """Raise InputError if arguments of `simulate` are invalid or contradict each other."""
     require_choice("engine", engine, ENGINES)
     require_workers(workers)
     if isinstance(keep, str) or not isinstance(keep, Collection):
@@ -229,7 +229,7 @@ def _require_arguments(knee: Subject, protocol: Protocol, keep: Collection[str],
 
 
 def _require_knee(knee: object, protocol: Protocol) -> None:
-    """Raise InputError unless a subject is a knee, built in the posture of the protocol, or a scene."""
+    """Raise InputError if a subject is neither a knee nor a scene, or is not built in the posture of the protocol."""
     if not isinstance(knee, Knee | BuiltKnee | Scene):
         raise InputError(f"knee must be a Knee, a BuiltKnee, a right and a left one, or a Scene, got {knee!r}")
     if isinstance(knee, BuiltKnee) and knee.assembly.posture != protocol.posture:
@@ -238,23 +238,22 @@ def _require_knee(knee: object, protocol: Protocol) -> None:
         )
 
 
-def _build_subject(knee: Subject, protocol: Protocol, engine: str, workers: int) -> BuiltKnee | BuiltPair | Scene:
+def _build_subject(knee: Subject, protocol: Protocol, workers: int) -> BuiltKnee | BuiltPair | Scene:
     """Build the anatomy of a knee or of both knees; other subjects are returned unchanged."""
     if not isinstance(knee, Knee | tuple):
         return knee
-    textured = protocol.texture != "none"
-    with ThreadPoolExecutor(1) as aside, precompile_in_background(engine, textured=textured, workers=workers):
+    with ThreadPoolExecutor(1) as background:
         if isinstance(knee, tuple):
             return build_pair(*knee, protocol)
-        if workers > 1 and textured:
-            aside.submit(make_texture, knee)
+        if workers > 1 and protocol.texture != "none":
+            background.submit(make_texture, knee)
         return build(knee, protocol)
 
 
 def _trace_scene(scene: Scene, context: StageContext, paths: Paths | None) -> tuple[LatentImage, Audit]:
-    """Compute the path lengths, or take the given ones; returns the initial image and the audit of the rays.
+    """Compute the path lengths or use the given ones; return the initial latent image and the ray counts.
 
-    Path lengths are stored as sparse maps unless they are to be kept.
+    Path lengths are stored as sparse maps unless the radiograph keeps them.
     """
     protocol = context.technique.protocol
     if paths is None and "path_mm" not in context.keep:
@@ -269,7 +268,7 @@ def _trace_scene(scene: Scene, context: StageContext, paths: Paths | None) -> tu
 def _describe_subject(
     subject: BuiltKnee | BuiltPair | Scene, protocol: Protocol, keep: Collection[str]
 ) -> dict[str, Any]:
-    """Collect the fields of a radiograph that describe its subject: knee or scene, labels and surgery."""
+    """Collect the fields of a radiograph that describe the imaged object: knee or scene, labels and surgery."""
     masked = "masks" in keep
     if isinstance(subject, BuiltKnee):
         truth = subject.truth(protocol)
@@ -286,25 +285,29 @@ def _describe_subject(
 
 
 def _add_masks(truth: Truth, solids: dict[str, Mesh], protocol: Protocol) -> Truth:
-    """Add the silhouettes of the parts of a knee to its labels."""
+    """Add the silhouettes of bones, osteophytes, cysts and implants to the labels of a knee."""
     return replace(truth, masks={name: compute_silhouette(mesh, protocol) for name, mesh in solids.items()})
 
 
 def _require_matching_paths(paths: Paths, scene: Scene, protocol: Protocol) -> None:
-    """Raise InputError unless paths belong to this scene in the view of this protocol."""
+    """Raise InputError if path lengths do not belong to the scene and the view of the protocol."""
     if not isinstance(paths, Paths):
         raise InputError(f"paths must be Paths, such as trace returns, got {type(paths).__name__}")
     if paths.scene is not scene:
         raise InputError(f"paths must belong to the simulated scene, {scene!r}, got paths of {paths.scene!r}")
     if paths.view != resolve_view(protocol):
-        raise InputError(f"paths must be of the view of the protocol, {resolve_view(protocol)}, got {paths.view}")
+        raise InputError(
+            f"paths must be traced in the view of the protocol, {resolve_view(protocol)}, got {paths.view}"
+        )
     if paths.texture != protocol.texture:
-        raise InputError(f"paths must have the texture of the protocol, {protocol.texture}, got {paths.texture}")
+        raise InputError(
+            f"paths must be traced with the texture of the protocol, {protocol.texture!r}, got {paths.texture!r}"
+        )
 
 
 @cache
 def collect_versions() -> dict[str, str]:
-    """Collect the versions of the package and of the libraries that affect its pixels.
+    """Collect the versions of the package and of the libraries that affect the pixels.
 
     Returns
     -------

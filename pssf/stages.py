@@ -1,7 +1,7 @@
-"""Imaging stages in their order: the protocols that need each one, and its effect on the latent image.
+"""Imaging stages in order: for each stage, the protocols that need it and its effect on the latent image.
 
-All stages read one `StageContext`, which is resolved once. A stage that the protocol does not need is skipped and costs
-nothing. Anatomy and ray casting come before all stages, because path lengths may be given.
+All stages use the same `StageContext`. A stage that the protocol does not need is skipped. Building the anatomy and ray
+casting are not stages, because path lengths may also be given by the user.
 """
 
 from collections.abc import Callable, Mapping
@@ -29,26 +29,27 @@ from .xray.primary_beam import Signal, compute_primary, compute_primary_before_a
 from .xray.resolved_technique import Technique
 from .xray.spectrum import compute_beam
 
-# Number of the random stream of noise below the seed of a radiograph. Shape and pose are sampled before, with the knee.
+# Spawn key of the random streams of noise, combined with the seed of a radiograph. Bone shape and pose are sampled
+# earlier, with the knee.
 _NOISE_STREAM = 3
-# Number of points along each side of a sampled focal spot.
+# Number of source points along each side of a sampled focal spot.
 _FOCAL_SPOT_POINTS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
 class StageContext:
-    """Everything that all stages read.
+    """Technique and settings that all stages use.
 
     Parameters
     ----------
     technique : Technique
         Resolved protocol.
     engine : {"embree", "scanline"}, default "embree"
-        Caster of the rays from points of the focal spot.
+        Ray caster for a sampled focal spot.
     seed : int, default 0
-        Seed of this exposure. Quantum noise and readout noise have their own streams below it.
+        Seed of the exposure, from which the random streams of quantum noise and readout noise are derived.
     keep : frozenset of str
-        Names of the maps to keep.
+        Names of the intermediate maps to keep.
     workers : int, default 2
         Number of threads; it does not change the result.
     """
@@ -60,50 +61,51 @@ class StageContext:
     workers: int = 2
 
     def make_noise_seed(self, number: int) -> np.random.SeedSequence:
-        """Make the seed of one kind of noise.
+        """Make the seed of quantum noise or of readout noise.
 
         Parameters
         ----------
         number : int
-            0 for quantum noise, 1 for readout noise.
+            Number of the noise stream: 0 for quantum noise, 1 for readout noise.
 
         Returns
         -------
         numpy.random.SeedSequence
-            Seed of its random stream.
+            Seed of the random stream.
         """
         return np.random.SeedSequence(self.seed, spawn_key=(_NOISE_STREAM, number))
 
 
 @dataclass(kw_only=True)
 class LatentImage:
-    """Image between the stages; maps are (rows, cols) float32 in keV per pixel.
+    """State of an image between stages; maps are (rows, cols) float32 in keV per pixel.
 
     Parameters
     ----------
     path_mm : mapping of str to (rows, cols) array
-        Path length per material, in mm, as arrays or sparse maps. It is empty once no later stage reads it.
+        Path length per material, in mm, as arrays or sparse maps. The mapping is emptied after the last stage that uses
+        it.
     scene : Scene, optional
-        Scene of the path lengths; None for an open beam.
+        Scene in which the path lengths were computed; None if there is no scene.
     air_gaps_mm : (32, 32) float64 array or float, optional
-        Distance from the exit of the object to the detector plane, in mm. If None, it is computed from the scene when
-        first needed.
+        Distance from the exit surface of the object to the detector plane, in mm. If None, it is computed from the
+        scene when first needed.
     primary : Signal, optional
         Signal of unscattered photons.
     primary_behind_grid : Signal, optional
-        The same behind the grid, if the protocol has one.
+        Signal of unscattered photons behind the anti-scatter grid, if the protocol has a grid.
     scatter : (rows, cols) float32 array, optional
         Signal of scattered photons.
     signal : (rows, cols) float32 array, optional
-        Primary and scatter without noise.
+        Sum of primary and scatter, without noise.
     noisy : (rows, cols) float32 array, optional
         Signal with quantum noise.
     kept : dict
-        Maps to keep, by name.
+        Intermediate maps that are kept, keyed by name.
     pixels : (rows, cols) uint16 array, optional
         Pixel values in DN.
     frequencies : (rows, cols) complex64 array, optional
-        Signal in frequency space, padded.
+        Padded signal in the frequency domain.
     """
 
     path_mm: Mapping[str, Any]
@@ -119,9 +121,9 @@ class LatentImage:
     frequencies: detector_blur.Frequencies | None = None
 
     def compute_air_gaps_mm(self, view: View) -> Array | float:
-        """Compute the distance from the exit of the object to the detector plane.
+        """Compute the distance from the exit surface of the object to the detector plane.
 
-        The scatter kernel and the anti-scatter grid need it.
+        The scatter kernel and the anti-scatter grid use this distance.
 
         Parameters
         ----------
@@ -131,7 +133,7 @@ class LatentImage:
         Returns
         -------
         (32, 32) float64 array or float
-            Air gaps in mm, computed at the first call; 0 without a scene.
+            Air gaps in mm, computed at the first call and then stored; 0 without a scene.
         """
         if self.air_gaps_mm is None:
             self.air_gaps_mm = 0.0 if self.scene is None else compute_air_gaps_mm(self.scene, view)
@@ -139,20 +141,20 @@ class LatentImage:
 
     @property
     def computed_primary(self) -> Signal:
-        """Primary signal, computed by an earlier stage."""
+        """Primary signal, which an earlier stage has computed."""
         assert self.primary is not None
         return self.primary
 
     @property
     def expected_signal(self) -> Map:
-        """Sum of primary and scatter in keV per pixel, computed at the first call."""
+        """Sum of primary and scatter in keV per pixel, computed at the first access and then stored."""
         if self.signal is None:
             primary = self.computed_primary.kev
             self.signal = primary if self.scatter is None else primary + self.scatter
         return self.signal
 
     def compute_frequencies(self, workers: int) -> detector_blur.Frequencies:
-        """Transform the signal to frequency space, which focal spot and panel both use.
+        """Transform the signal to the frequency domain, for the blur by focal spot and detector.
 
         Parameters
         ----------
@@ -162,7 +164,7 @@ class LatentImage:
         Returns
         -------
         (padded rows, padded cols / 2 + 1) complex64 array
-            Frequencies of the padded signal, computed at the first call.
+            Fourier coefficients of the padded signal, computed at the first call and then stored.
         """
         if self.frequencies is None:
             self.frequencies = detector_blur.transform_to_frequency(self.expected_signal, workers)
@@ -176,14 +178,14 @@ class Stage:
     Parameters
     ----------
     name : str
-        Name under which the run time is reported.
+        Name of the stage in the reported run times.
     is_requested : callable
-        Function of a protocol that returns True if it needs the stage.
+        Function that returns True if a protocol needs the stage.
     run : callable
-        Function of a latent image and a context that changes the image.
+        Function that applies the stage to a latent image, in place, with a stage context.
     reads : {"paths", "photons"}, optional
-        Maps that must be kept until this stage. ``"paths"`` stands for path lengths, and primary and scatter as
-        separate maps. ``"photons"`` stands for the mean photon energy of the primary.
+        Maps that the stage uses, which must be kept until then. ``"paths"`` means path lengths, and primary and scatter
+        as separate maps. ``"photons"`` means the photon energy map of the primary.
     """
 
     name: str
@@ -193,14 +195,14 @@ class Stage:
 
 
 def prepare_spectrum(image: LatentImage, context: StageContext) -> None:
-    """Compute the spectrum if it is not in the cache, so that the run time of the next stage does not include it.
+    """Compute the tube spectrum if it is not in the cache, so that its run time is reported separately.
 
     Parameters
     ----------
     image : LatentImage
         Not used.
     context : StageContext
-        Technique of the spectrum.
+        Technique and settings.
     """
     compute_beam(context.technique)
 
@@ -211,7 +213,7 @@ def attenuate(image: LatentImage, context: StageContext) -> None:
     Parameters
     ----------
     image : LatentImage
-        Image with path lengths; the primary is set, and the one behind the grid if there is a grid.
+        Image with path lengths. The primary is set, and with an anti-scatter grid also the primary behind the grid.
     context : StageContext
         Technique and settings.
     """
@@ -223,7 +225,7 @@ def attenuate(image: LatentImage, context: StageContext) -> None:
 
 
 def sample_focal_spot(image: LatentImage, context: StageContext) -> None:
-    """Compute the primary as the mean over points of the focal spot, with the right blur at every depth.
+    """Compute the primary as the mean over source points of the focal spot, with the correct blur at every depth.
 
     Parameters
     ----------
@@ -237,7 +239,7 @@ def sample_focal_spot(image: LatentImage, context: StageContext) -> None:
 
 
 def add_kernel_scatter(image: LatentImage, context: StageContext) -> None:
-    """Compute the scatter with the kernel fitted to the Monte Carlo.
+    """Compute the scatter with the kernel fitted to Monte Carlo results.
 
     Parameters
     ----------
@@ -256,7 +258,7 @@ def add_kernel_scatter(image: LatentImage, context: StageContext) -> None:
 
 
 def add_monte_carlo_scatter(image: LatentImage, context: StageContext) -> None:
-    """Compute the scatter by Monte Carlo, with its statistical error.
+    """Compute the scatter and its statistical error by Monte Carlo simulation.
 
     Parameters
     ----------
@@ -276,7 +278,7 @@ def add_monte_carlo_scatter(image: LatentImage, context: StageContext) -> None:
 
 
 def apply_grid(image: LatentImage, context: StageContext) -> None:
-    """Attenuate primary and scatter by the anti-scatter grid; the primary by its spectrum in each pixel.
+    """Attenuate primary and scatter by the anti-scatter grid, for the primary according to its spectrum in each pixel.
 
     Parameters
     ----------
@@ -289,7 +291,8 @@ def apply_grid(image: LatentImage, context: StageContext) -> None:
     if image.primary_behind_grid is not None:
         image.primary, image.primary_behind_grid = image.primary_behind_grid, None
     else:
-        # The transmission of rays from the centre of the focal spot is applied to the mean over the whole spot.
+        # The grid transmission is computed for rays from the centre of the focal spot and applied to the mean over the
+        # focal spot.
         before, after = _compute_primary_at_grid(image, context)
         passed = np.divide(after.kev, before.kev, out=np.zeros_like(after.kev), where=before.kev > 0)
         image.primary = Signal(primary.kev * passed, after.photon_kev)
@@ -301,13 +304,13 @@ def apply_grid(image: LatentImage, context: StageContext) -> None:
 
 
 def _compute_primary_at_grid(image: LatentImage, context: StageContext) -> tuple[Signal, Signal]:
-    """Compute the primary before and behind the grid, for rays from the centre of the focal spot."""
+    """Compute the primary in front of and behind the grid, for rays from the centre of the focal spot."""
     through = partial(transmit_through_grid, make_grid(context.technique.protocol))
     return compute_primary_before_and_behind(image.path_mm, context.technique, through, context.workers)
 
 
 def blur_focal_spot(image: LatentImage, context: StageContext) -> None:
-    """Blur the whole image by the focal spot, as for an edge in the joint plane.
+    """Blur the whole image by the focal spot, with the blur width of the joint plane.
 
     Parameters
     ----------
@@ -329,7 +332,7 @@ def blur_focal_spot(image: LatentImage, context: StageContext) -> None:
 
 
 def add_side_marker(image: LatentImage, context: StageContext) -> None:
-    """Add the shadow of a lead letter on the detector cover; it is sharp, since the letter is close to the detector.
+    """Add the shadow of a lead letter on the detector cover, without focal-spot blur.
 
     Parameters
     ----------
@@ -359,12 +362,12 @@ def add_quantum_noise(image: LatentImage, context: StageContext) -> None:
 
 
 def blur_panel(image: LatentImage, context: StageContext) -> None:
-    """Blur the signal by the MTF of the panel, and quantum noise by its own transfer function.
+    """Blur the signal by the MTF of the detector, and quantum noise by the noise transfer function.
 
     Parameters
     ----------
     image : LatentImage
-        Image with a signal, which is changed; the noisy signal as well, if there is one.
+        Image with a signal, which is changed. A noisy signal is changed too.
     context : StageContext
         Technique and settings.
     """
@@ -376,7 +379,7 @@ def blur_panel(image: LatentImage, context: StageContext) -> None:
     if noise is not None:
         noise -= signal
         coloured = detector_blur.transform_to_frequency(noise, context.workers)
-        # Maps that are no longer needed are released before new ones are made.
+        # Maps that are no longer needed are released before new maps are made.
         image.noisy = None
         del noise
         detector_blur.apply_panel_blur(coloured, signal.shape, *panel, curve="ntf")
@@ -387,7 +390,7 @@ def blur_panel(image: LatentImage, context: StageContext) -> None:
 
 
 def read_out(image: LatentImage, context: StageContext) -> None:
-    """Convert the signal into pixel values: gain, readout noise, offset and 16 bits.
+    """Convert the signal to pixel values: gain, readout noise, offset and 16 bits.
 
     Parameters
     ----------
@@ -402,7 +405,7 @@ def read_out(image: LatentImage, context: StageContext) -> None:
     image.pixels = simulate_readout(values, context.technique, seed, context.workers)
 
 
-# All stages in their order.
+# All stages in the order of execution.
 STAGES = (
     Stage("spectrum", lambda protocol: protocol.focal_spot != "sampled", prepare_spectrum),
     Stage("attenuation", lambda protocol: protocol.focal_spot != "sampled", attenuate, "paths"),
@@ -419,12 +422,12 @@ STAGES = (
 
 
 def select_stages(protocol: Protocol) -> list[Stage]:
-    """Select the stages that a protocol needs, in their order.
+    """Select the stages that a protocol needs, in the order of execution.
 
     Parameters
     ----------
     protocol : Protocol
-        Technique with the requested stages.
+        Protocol with the requested stages.
 
     Returns
     -------
@@ -452,7 +455,7 @@ def run_stages(image: LatentImage, context: StageContext) -> dict[str, float]:
     Raises
     ------
     InputError
-        If a stage raises it.
+        If a stage raises InputError.
     """
     clock, stages = Timer(), select_stages(context.technique.protocol)
     for place, stage in enumerate(stages, 1):
@@ -463,7 +466,7 @@ def run_stages(image: LatentImage, context: StageContext) -> dict[str, float]:
 
 
 def _drop_unread_maps(image: LatentImage, read_later: set[str | None], keep: frozenset[str]) -> None:
-    """Release the maps that no later stage reads; for a large detector, each takes a quarter of a gigabyte."""
+    """Release the maps that no later stage uses, because a map of a large detector takes a quarter of a gigabyte."""
     if "paths" in read_later or image.primary is None:
         return
     image.path_mm = {}
@@ -471,7 +474,8 @@ def _drop_unread_maps(image: LatentImage, read_later: set[str | None], keep: fro
         if name in keep and held is not None:
             image.kept.setdefault(name, held)
     signal = image.expected_signal
-    # Quantum noise reads only the mean photon energy of the primary, so that the sum can replace the primary itself.
+    # Quantum noise uses only the photon energy map of the primary, so the primary signal is replaced by the total
+    # signal.
     image.primary = Signal(signal, image.primary.photon_kev) if "photons" in read_later else None
     image.scatter = None
 
@@ -479,7 +483,7 @@ def _drop_unread_maps(image: LatentImage, read_later: set[str | None], keep: fro
 def compute_sampled_primary(
     scene: Scene, technique: Technique, engine: str, workers: int, points_per_side: int = _FOCAL_SPOT_POINTS
 ) -> Signal:
-    """Compute the primary as the mean over rays from points of the focal spot.
+    """Compute the primary as the mean over source points of the focal spot.
 
     Parameters
     ----------
@@ -492,12 +496,12 @@ def compute_sampled_primary(
     workers : int
         Number of threads; it does not change the result.
     points_per_side : int, default 3
-        Points along each side of the focal spot, see `geometry.view.make_focal_spot_views`.
+        Number of points along each side of the focal spot, as in `geometry.view.make_focal_spot_views`.
 
     Returns
     -------
     Signal
-        Mean absorbed energy and its variance over mean, per pixel.
+        Mean absorbed energy per pixel, and its variance divided by its mean.
     """
     protocol, shape = technique.protocol, (technique.view.rows, technique.view.cols)
     kev, square = (np.zeros(shape, np.float32) for _ in range(2))

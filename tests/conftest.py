@@ -1,58 +1,64 @@
 """Shared fixtures: a knee built once, a small detector."""
 
+import ctypes
 import dataclasses
 import json
 import os
 
-# There is a worker for every core: threads of BLAS would wait for each other, and take half of the suite's time.
+# Each core runs one test worker; BLAS threads would compete for the cores and double the suite's run time.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import shutil
 import sys
 from collections.abc import Iterator
-from functools import lru_cache
 from pathlib import Path
 
-import drawn
+import block_knee_cohort
 import pytest
 from hypothesis import HealthCheck, settings
 
 import pssf
-from pssf import cohort, study
+from pssf import cohort, simulation, study
 from pssf.cohort import cohort_maker
 from pssf.data import code_hash
+from pssf.model.protocol import Posture
 from pssf.study import StudyResult
 
-# Hundreds of processes are started here, and each would compile all that it imports.
+# The suite starts hundreds of processes; without bytecode files each would compile every module that it imports.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-# No test is timed, and a commit that passes passes again: the examples are drawn from the test's own text.
+# No test has a deadline. Hypothesis derives its examples from the test's source, so that results are reproducible.
 settings.register_profile("pssf", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("pssf")
 
 
 @pytest.fixture(scope="session")
 def small() -> pssf.Protocol:
-    """The reference protocol on 256 x 256 pixels of 1.2 mm: the same field."""
+    """Return the reference protocol with 256 x 256 pixels of 1.2 mm, which cover the same field."""
     return dataclasses.replace(pssf.load_protocol("reference"), rows=256, cols=256, pixel_mm=1.2)
 
 
 @pytest.fixture(scope="session")
 def knee() -> pssf.Knee:
-    beaks = (pssf.Osteophyte(site="medial_tibia", size_mm=2.5), pssf.Osteophyte(site="lateral_femur", size_mm=1.0))
-    return pssf.Knee(jsw_medial_mm=3.1, osteophytes=beaks, varus_deg=2.0, flexion_deg=3.0, rotation_deg=2.0, grade=2)
+    osteophytes = (
+        pssf.Osteophyte(site="medial_tibia", size_mm=2.5),
+        pssf.Osteophyte(site="lateral_femur", size_mm=1.0),
+    )
+    return pssf.Knee(
+        jsw_medial_mm=3.1, osteophytes=osteophytes, varus_deg=2.0, flexion_deg=3.0, rotation_deg=2.0, grade=2
+    )
 
 
 @pytest.fixture(scope="session")
 def built(knee: pssf.Knee) -> pssf.BuiltKnee:
-    return pssf.build(knee)
+    return build_once(knee)
 
 
 @pytest.fixture
 def copied_code(tmp_path, monkeypatch) -> Iterator[Path]:
-    """A copy of the package, which digests of code are taken of."""
+    """Copy the package and compute code hashes from the copy."""
     folder = tmp_path / "copied" / "pssf"
     shutil.copytree(code_hash.PACKAGE_ROOT, folder, ignore=shutil.ignore_patterns("__pycache__"))
     monkeypatch.setattr(code_hash, "PACKAGE_ROOT", folder)
@@ -61,8 +67,8 @@ def copied_code(tmp_path, monkeypatch) -> Iterator[Path]:
     code_hash.compute_code_hashes.cache_clear()
 
 
-def change(path: Path) -> None:
-    """One byte more in a file of `copied_code`."""
+def append_byte(path: Path) -> None:
+    """Append one byte to a file of `copied_code`."""
     path.write_bytes(path.read_bytes() + b"\n")
     code_hash.compute_code_hashes.cache_clear()
 
@@ -74,7 +80,7 @@ def scene(built: pssf.BuiltKnee) -> pssf.Scene:
 
 @pytest.fixture(scope="session")
 def small_protocols(tmp_path_factory) -> list[str]:
-    """Two protocols on tiny detectors, as files."""
+    """Write two protocols with tiny detectors and return their paths."""
     folder, paths = tmp_path_factory.mktemp("protocols"), []
     for name in ("reference", "low_dose"):
         protocol = dataclasses.replace(pssf.load_protocol(name), rows=64, cols=64, pixel_mm=4.8)
@@ -85,19 +91,45 @@ def small_protocols(tmp_path_factory) -> list[str]:
     return paths
 
 
+_MOST_BUILT_KNEES = 8
+_built_knees: dict[tuple[pssf.Knee, Posture], pssf.BuiltKnee] = {}
+
+
+def build_once(knee: pssf.Knee, protocol: pssf.Protocol | None = None) -> pssf.BuiltKnee:
+    """Build a knee as `pssf.build` does, or return the same immutable knee that an earlier test built."""
+    key = knee, Posture() if protocol is None else protocol.posture
+    _built_knees[key] = _built_knees.pop(key, None) or pssf.build(knee, protocol)
+    if len(_built_knees) > _MOST_BUILT_KNEES:
+        del _built_knees[next(iter(_built_knees))]
+    return _built_knees[key]
+
+
+def forget_built_knees() -> None:
+    """Make the next radiograph of any knee build that knee again, for tests of reproducibility."""
+    _built_knees.clear()
+
+
 @pytest.fixture(scope="session", autouse=True)
 def built_once() -> Iterator[None]:
-    """Cohorts of this process build a knee once, however often they make it; other processes build their own."""
+    """Cache the knees that radiographs and cohorts of this process build; other processes build their own."""
     with pytest.MonkeyPatch.context() as patch:
-        built = lru_cache(maxsize=8)(cohort_maker.build)
-        patch.setattr(cohort_maker, "build", built)
+        for module in (simulation, cohort_maker):
+            patch.setattr(module, "build", build_once)
         yield
-        built.cache_clear()
+        forget_built_knees()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def freed_memory() -> Iterator[None]:
+    """Return freed memory to the system after each file, because threads of a process leave gaps in its heap."""
+    yield
+    if hasattr(trim := ctypes.CDLL(None), "malloc_trim"):  # glibc only
+        trim.malloc_trim(0)
 
 
 @pytest.fixture(scope="session")
 def whole_cohort(small_protocols, tmp_path_factory) -> Path:
-    """The folder of a cohort of three knees, made by one worker; to be looked at only."""
+    """Make a cohort of three knees with one worker and return its folder; tests must not change it."""
     folder = tmp_path_factory.mktemp("whole") / "c"
     plan = cohort.plan_cohort("quick", seed=5, overrides={"knees": [1, 1, 1], "protocols": small_protocols})
     cohort.make_cohort(plan, folder, workers=1)
@@ -106,12 +138,16 @@ def whole_cohort(small_protocols, tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session")
 def film_study(tmp_path_factory) -> StudyResult:
-    """A study of drawn knees whose subjects are texts, tested on drawn films; to be looked at only.
+    """Run a study of block knees whose subjects are texts and test it on block radiographs; tests must not change it.
 
-    Its films are of grades 0, 1, 2 and 3; some inverted, one cut too narrow, one without a knee, one damaged.
+    The radiographs have grades 0 to 3; some are inverted, one is too narrow, one has no knee, one is damaged.
     """
     folder = tmp_path_factory.mktemp("film_study")
     return study.run(
-        drawn.text_subjects(), drawn.cohort().load, [drawn.TEMPLATE], drawn.LIGHT, folder / "out",
-        films=drawn.film_set(drawn.films(folder / "films")),
-    )  # fmt: skip
+        block_knee_cohort.select_text_subjects(),
+        block_knee_cohort.make_cohort().load,
+        [block_knee_cohort.TEMPLATE],
+        block_knee_cohort.LIGHT,
+        folder / "out",
+        films=block_knee_cohort.make_film_set(block_knee_cohort.write_films(folder / "films")),
+    )

@@ -1,8 +1,11 @@
+"""Check the built knee: closed solids, joint space widths, osteophytes, subchondral bone plates and soft tissue."""
+
 import dataclasses
 
 import numpy as np
 import pytest
 import trimesh
+from conftest import build_once
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold
@@ -37,34 +40,39 @@ MEAN = resolve_bone_parameters(pssf.Knee(), TABLES)
 
 
 @pytest.fixture(scope="module")
-def bare():
-    """Mean femur and tibia without osteophytes: what grows them, and the bones with their marrow."""
-    shells_mm = bone_shells.compute_cortex_depths_mm(MEAN)
+def shells_mm():
+    """Return the cortex depths of the femur and the tibia of the template anatomy."""
+    return bone_shells.compute_cortex_depths_mm(MEAN)
+
+
+@pytest.fixture(scope="module")
+def bones_without_osteophytes(shells_mm):
+    """Return the grown and the built femur and tibia of the template anatomy without osteophytes."""
     femur, tibia = bone_shells.grow_femur_osteophytes(MEAN, ()), bone_shells.grow_tibia_osteophytes(MEAN, ())
     made = bone_shells.build_femur(MEAN, femur, shells_mm[0]), bone_shells.build_tibia(MEAN, tibia, shells_mm[1])
     return {"femur": (femur, made[0]), "tibia": (tibia, made[1])}
 
 
-def test_a_loft_of_circles_has_the_volume_of_its_prism():
+def test_a_loft_of_equal_rings_has_the_volume_of_their_prism():
     rings = np.array([make_ring(3.0, 3.0, (0.0, 0.0, z), 2.0, 64) for z in (0.0, 2.0, 5.0)])
     area = 0.5 * 64 * 9.0 * np.sin(2 * np.pi / 64)
     assert_allclose(loft(rings, "prism").volume(), 5.0 * area, rtol=1e-12)
 
 
-def test_a_height_field_has_the_volume_under_its_relief():
+def test_a_height_field_has_the_volume_below_its_surface():
     x, y = np.linspace(0, 2, 5), np.linspace(0, 3, 7)
     tops = np.add.outer(x, 2 * y) + 4.0
     assert_allclose(build_height_field(x, y, tops, 1.0, "ramp").volume(), 6.0 * (1.0 + 3.0 + 3.0), rtol=1e-12)
 
 
-def test_an_empty_solid_is_refused_with_its_status_and_volume():
+def test_an_empty_solid_is_rejected_with_its_status_and_volume():
     with pytest.raises(pssf.InputError, match=r"solid nothing must have .*, got status NoError and volume 0 mm3"):
         require_valid_solid(Manifold(), "nothing")
 
 
 @given(seed=st.integers(0, 2**32), grade=st.sampled_from([0, 1, 2]))
 @settings(max_examples=8)
-def test_every_drawn_knee_builds_nested_and_shows_its_joint_spaces(seed, grade):
+def test_every_sampled_knee_is_watertight_and_has_its_joint_spaces(seed, grade):
     knee = pssf.sample_knee(grade=grade, rng=np.random.default_rng(seed), grade_table="paper")
     built = pssf.build(knee)
     assert_allclose(built.measure_jsw_mm(REFERENCE), [knee.jsw_medial_mm, knee.jsw_lateral_mm], atol=0.01)
@@ -77,7 +85,7 @@ def test_every_drawn_knee_builds_nested_and_shows_its_joint_spaces(seed, grade):
     "corner",
     [(1400.0, 0.85, 90.0, 2.0, -16.0, -10.0, -2.0), (2100.0, 1.15, 180.0, 30.0, 16.0, 10.0, 18.0)],
 )
-def test_knees_at_the_corners_of_their_ranges_build(corner):
+def test_knees_at_the_limits_of_their_ranges_can_be_built(corner):
     stature, scale, limb, fat, varus, rotation, slope = corner
     knee = pssf.Knee(
         stature_mm=stature, bone_scale=scale, limb_ap_mm=limb, fat_mm=fat, varus_deg=varus, rotation_deg=rotation,
@@ -87,7 +95,7 @@ def test_knees_at_the_corners_of_their_ranges_build(corner):
     assert_allclose(pssf.build(knee).measure_jsw_mm(REFERENCE), [2.5, 5.5], atol=0.01)
 
 
-def test_spaces_are_met_where_each_levelling_of_the_joint_moves_the_landmarks_that_it_goes_by():
+def test_joint_spaces_are_met_when_levelling_moves_the_landmarks():
     shape = (-0.5514, 1.7933, 0.8158, -0.8964, 1.297, -0.7099, -1.356, -1.4932, 0.8587, 0.9509, -0.5973, 1.4226, 1.1711)
     knee = pssf.Knee(
         side="right", sex="female", stature_mm=1554.93, jsw_medial_mm=3.1801, jsw_lateral_mm=5.2881,
@@ -95,11 +103,11 @@ def test_spaces_are_met_where_each_levelling_of_the_joint_moves_the_landmarks_th
         shape=shape, bone_scale=1.01, varus_deg=1.1735, flexion_deg=1.4828, rotation_deg=1.9911, lean_deg=4.4212,
         tibial_slope_deg=4.6709, notch_growth_mm=0.4442,
     )  # fmt: skip
-    by = load_jsw_protocol(knee)
-    assert_allclose(pssf.build(knee, by).measure_jsw_mm(by), [3.1801, 5.2881], atol=1e-3)
+    jsw_protocol = load_jsw_protocol(knee)
+    assert_allclose(pssf.build(knee, jsw_protocol).measure_jsw_mm(jsw_protocol), [3.1801, 5.2881], atol=1e-3)
 
 
-def test_a_spiked_spine_in_the_wall_of_a_narrow_notch_is_worn_off():
+def test_a_spine_osteophyte_in_the_wall_of_a_narrow_notch_is_worn_off():
     shape = (3.0, -3.0, -3.0, -3.0, 3.0, 3.0, -3.0, 3.0, 3.0, -3.0, -3.0, 3.0, -3.0)
     knee = pssf.Knee(
         side="right", sex="female", stature_mm=1949.0, jsw_medial_mm=5.472, jsw_lateral_mm=4.555, shape=shape,
@@ -110,18 +118,23 @@ def test_a_spiked_spine_in_the_wall_of_a_narrow_notch_is_worn_off():
 
 
 @pytest.mark.parametrize(("varus", "spaces"), [(14.0, (0.0, 10.0)), (-14.0, (10.0, 0.0))])
-def test_a_leg_that_has_fallen_in_to_a_side_whose_other_space_gapes_is_simulated(varus, spaces):
+def test_a_knee_with_one_joint_space_closed_and_the_other_wide_is_built(varus, spaces):
     knee = pssf.Knee(jsw_medial_mm=spaces[0], jsw_lateral_mm=spaces[1], varus_deg=varus, grade=4)
     coarse = dataclasses.replace(pssf.load_protocol("fixed_flexion"), rows=128, cols=128, pixel_mm=2.4)
-    # The trace refuses paths below 0.
+    # `trace` raises InputError for negative path lengths.
     angle_deg = pssf.simulate(knee, coarse, engine="scanline").truth.readings["femorotibial_deg"]
     assert angle_deg == 175.0 + varus
     assert_allclose(pssf.build(knee).measure_jsw_mm(REFERENCE), spaces, atol=1e-3)
 
 
-@pytest.mark.parametrize("spaces", [(0.0, 5.5), (6.0, 0.0), (0.0, 0.0), (0.03, 4.0)])
-@pytest.mark.parametrize("posture", [None, "fixed_flexion"])
-def test_bone_stands_on_bone_without_overlap(spaces, posture):
+@pytest.mark.parametrize(
+    ("spaces", "posture"),
+    [
+        *(((0.0, 5.5), None), ((6.0, 0.0), None), ((0.0, 0.0), None), ((0.03, 4.0), None)),
+        *(((0.0, 0.0), "fixed_flexion"), ((0.03, 4.0), "fixed_flexion")),
+    ],
+)
+def test_bones_in_contact_do_not_overlap(spaces, posture):
     knee = pssf.Knee(jsw_medial_mm=spaces[0], jsw_lateral_mm=spaces[1], subchondral_plate=1.8)
     built = pssf.build(knee, pssf.load_protocol(posture) if posture else None)
     if posture is None:
@@ -130,7 +143,7 @@ def test_bone_stands_on_bone_without_overlap(spaces, posture):
     assert str(pssf.check(built.scene)) == "no faults"
 
 
-def test_bones_that_would_overlap_are_refused(knee, built, monkeypatch):
+def test_bones_that_would_overlap_are_rejected(knee, built, monkeypatch):
     pose = built.assembly.pose
     sunk = dataclasses.replace(built.assembly, pose=dataclasses.replace(pose, raise_mm=pose.raise_mm - 12.0))
     monkeypatch.setattr("pssf.anatomy.built_knee.assemble_knee", lambda *_: sunk)
@@ -139,7 +152,7 @@ def test_bones_that_would_overlap_are_refused(knee, built, monkeypatch):
 
 
 def test_a_left_knee_is_the_mirror_image_of_a_right_one(knee, scene):
-    mirrored = pssf.build(dataclasses.replace(knee, side="left")).scene
+    mirrored = build_once(dataclasses.replace(knee, side="left")).scene
     for right, left in zip(scene.surfaces, mirrored.surfaces, strict=True):
         assert_allclose(left.mesh.vertices * [-1, 1, 1], right.mesh.vertices, atol=1e-12)
         assert_allclose(left.mesh.volume, right.mesh.volume, rtol=1e-9)
@@ -147,30 +160,33 @@ def test_a_left_knee_is_the_mirror_image_of_a_right_one(knee, scene):
 
 def test_landmarks_of_a_left_knee_mirror_those_of_a_right_one(knee, built):
     left = dataclasses.replace(knee, side="left")
-    there = built.truth(REFERENCE).medial_joint_line_px
-    here = pssf.build(left).truth(REFERENCE).medial_joint_line_px
-    assert here[1] == pytest.approx(REFERENCE.cols - 1 - there[1], abs=1e-6)
-    assert here[0] == pytest.approx(there[0], abs=1e-6)
+    right_px = built.truth(REFERENCE).medial_joint_line_px
+    left_px = build_once(left).truth(REFERENCE).medial_joint_line_px
+    assert left_px[1] == pytest.approx(REFERENCE.cols - 1 - right_px[1], abs=1e-6)
+    assert left_px[0] == pytest.approx(right_px[0], abs=1e-6)
 
 
-def test_the_joint_line_lies_at_the_origin(built):
+def test_the_joint_line_is_at_the_origin(built):
     row, _ = built.truth(REFERENCE).landmarks_px["joint_centre"]
     assert row == pytest.approx((REFERENCE.rows - 1) / 2, abs=0.5)
 
 
 @pytest.mark.parametrize("site", MARGIN_AND_SPINE_SITES)
 @pytest.mark.parametrize("size", [0.3, 1.0, 3.0, 6.0])
-def test_an_osteophyte_stands_out_by_its_size(site, size, bare):
+def test_an_osteophyte_protrudes_by_its_size(site, size, shells_mm, bones_without_osteophytes):
     side, where = site.split("_")
     make, grow = (
         (bone_shells.build_femur, bone_shells.grow_femur_osteophytes)
         if where == "femur"
         else (bone_shells.build_tibia, bone_shells.grow_tibia_osteophytes)
     )
-    shell_mm = bone_shells.compute_cortex_depths_mm(MEAN)[0 if where == "femur" else 1]
+    shell_mm = shells_mm[0 if where == "femur" else 1]
     form = MEAN.femur if where == "femur" else MEAN.tibia
-    beak = pssf.Osteophyte(site=site, size_mm=size)
-    (before, plain), after = bare["femur" if where == "femur" else "tibia"], grow(MEAN, (beak,))
+    osteophyte = pssf.Osteophyte(site=site, size_mm=size)
+    (before, plain), after = (
+        bones_without_osteophytes["femur" if where == "femur" else "tibia"],
+        grow(MEAN, (osteophyte,)),
+    )
     reach = []
     for bone in (before, after):
         points = extract_mesh(bone.outer).vertices
@@ -190,38 +206,40 @@ def test_an_osteophyte_stands_out_by_its_size(site, size, bare):
 
 @pytest.mark.parametrize("site", CENTRAL_SITES)
 @pytest.mark.parametrize(("size", "place"), [(0.3, 0.0), (1.0, -1.0), (2.5, 0.5), (5.0, 1.0)])
-def test_a_central_osteophyte_stands_out_of_the_joint_surface_by_its_size(site, size, place, bare):
-    beak = pssf.Osteophyte(site=site, size_mm=size, place=place)
+def test_a_central_osteophyte_rises_from_the_joint_surface_by_its_size(
+    site, size, place, shells_mm, bones_without_osteophytes
+):
+    osteophyte = pssf.Osteophyte(site=site, size_mm=size, place=place)
     make, grow, form = (
         (bone_shells.build_femur, bone_shells.grow_femur_osteophytes, MEAN.femur)
-        if beak.bone == "femur"
+        if osteophyte.bone == "femur"
         else (bone_shells.build_tibia, bone_shells.grow_tibia_osteophytes, MEAN.tibia)
     )
-    (before, plain), grown = bare[beak.bone], grow(MEAN, (beak,))
+    (before, plain), grown = bones_without_osteophytes[osteophyte.bone], grow(MEAN, (osteophyte,))
     table = MEAN.shape.osteophytes.central
     points = extract_mesh(before.outer).vertices
     about = points[
         abs(points[:, 0] - (1 if site.startswith("medial") else -1) * table.across_mm) < table.base_half_width_mm
     ]
-    if beak.bone == "femur":
+    if osteophyte.bone == "femur":
         angle = np.deg2rad(np.interp(place, (-1, 1), table.femur_deg))
-        way = np.array([0, np.sin(angle), -np.cos(angle)])
+        direction = np.array([0, np.sin(angle), -np.cos(angle)])
     else:
-        way = np.array([0.0, 0.0, 1.0])
+        direction = np.array([0.0, 0.0, 1.0])
         about = about[abs(about[:, 1] - np.interp(place, (-1, 1), table.tibia_mm)) < table.base_half_width_mm]
     (mound,) = grown.shapes
     tip = mound.farthest_point[None]
-    assert (deform_template_points(tip, form) @ way)[0] - (
-        deform_template_points(about, form) @ way
+    assert (deform_template_points(tip, form) @ direction)[0] - (
+        deform_template_points(about, form) @ direction
     ).max() == pytest.approx(size, abs=1e-8)
     assert np.linalg.norm(extract_mesh(grown.outer).vertices - tip, axis=1).min() < 1e-4
-    shell_mm = bone_shells.compute_cortex_depths_mm(MEAN)[0 if beak.bone == "femur" else 1]
+    shell_mm = shells_mm[0 if osteophyte.bone == "femur" else 1]
     bone = make(MEAN, grown, shell_mm)
     assert bone.outer.volume() > plain.outer.volume()
     assert (bone.inner - bone.outer).volume() == 0
 
 
-def test_a_thicker_subchondral_plate_takes_its_volume_from_trabecular_bone():
+def test_a_thicker_subchondral_bone_plate_replaces_trabecular_bone():
     thick = dataclasses.replace(MEAN, plates=dataclasses.replace(MEAN.plates, medial=1.5, lateral=1.5))
     normal, sclerotic = (
         bone_shells.build_tibia(
@@ -233,41 +251,40 @@ def test_a_thicker_subchondral_plate_takes_its_volume_from_trabecular_bone():
     assert_allclose(sclerotic.outer.volume(), normal.outer.volume(), rtol=1e-12)
 
 
-@pytest.mark.parametrize(("spaces", "way"), [((5.0, 5.0), 1), ((4.5, 4.0), 1), ((2.0, 5.0), 1), ((5.0, 2.0), -1)])
-def test_sclerosis_is_of_the_side_that_narrows_and_a_share_of_it_of_the_other(spaces, way):
+@pytest.mark.parametrize(("spaces", "side_sign"), [((5.0, 5.0), 1), ((4.5, 4.0), 1), ((2.0, 5.0), 1), ((5.0, 2.0), -1)])
+def test_sclerosis_is_full_on_the_narrower_side_and_partial_on_the_other(spaces, side_sign):
     knee = pssf.Knee(jsw_medial_mm=spaces[0], jsw_lateral_mm=spaces[1], subchondral_plate=1.5)
     plates, healthy = resolve_bone_parameters(knee, TABLES).plates, resolve_bone_parameters(pssf.Knee(), TABLES).plates
     far = (
-        plates.interpolate(np.array([[way * 400.0, 0.0, 0.0], [way * -400.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+        plates.interpolate(np.array([[side_sign * 400.0, 0.0, 0.0], [side_sign * -400.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
         / healthy.medial
     )
-    share = TABLES.trabecular_bone.sclerosis.other_side
-    assert 0 < share < 1
-    assert_allclose(far, [1.5, 1 + 0.5 * share, 1 + 0.25 * (1 + share)], atol=1e-3)
+    fraction = TABLES.trabecular_bone.sclerosis.other_side
+    assert 0 < fraction < 1
+    assert_allclose(far, [1.5, 1 + 0.5 * fraction, 1 + 0.25 * (1 + fraction)], atol=1e-3)
     assert healthy.medial == healthy.lateral
 
 
-@pytest.mark.parametrize("varus", [-5.0, 0.0, 5.0])
-@pytest.mark.parametrize("medial", [2.5, 5.0])
-def test_varus_is_the_angle_of_the_shafts_whatever_the_joint_spaces(varus, medial):
+@pytest.mark.parametrize(("varus", "medial"), [(-5.0, 2.5), (0.0, 5.0), (5.0, 2.5), (5.0, 5.0)])
+def test_the_shafts_enclose_the_varus_angle_for_any_joint_space(varus, medial):
     sizes = morphometry.measure_knee_sizes(pssf.Knee(varus_deg=varus, jsw_medial_mm=medial))
     assert abs(sizes["error of varus_deg"]) < 0.1
 
 
 @given(data=st.data())
-def test_halved_edges_leave_a_closed_surface_of_the_same_volume(data):
+def test_splitting_edges_keeps_the_mesh_closed_and_its_volume(data):
     box = trimesh.creation.box((2.0, 3.0, 5.0))
     edges = find_edges(box.faces)
-    chosen = edges[data.draw(st.lists(st.integers(0, len(edges) - 1), min_size=1, unique=True))]
-    points = np.vstack((box.vertices, box.vertices[chosen].mean(axis=1)))
-    mesh = trimesh.Trimesh(points, split_edges(np.asarray(box.faces), chosen, len(box.vertices)), process=False)
+    selected = edges[data.draw(st.lists(st.integers(0, len(edges) - 1), min_size=1, unique=True))]
+    points = np.vstack((box.vertices, box.vertices[selected].mean(axis=1)))
+    mesh = trimesh.Trimesh(points, split_edges(np.asarray(box.faces), selected, len(box.vertices)), process=False)
     assert mesh.is_watertight
     assert mesh.is_winding_consistent
-    assert len(mesh.faces) == len(box.faces) + 2 * len(chosen)
+    assert len(mesh.faces) == len(box.faces) + 2 * len(selected)
     assert_allclose(mesh.volume, 30.0, rtol=1e-12)
 
 
-def test_a_point_is_as_far_from_triangles_as_trimesh_finds():
+def test_distances_to_triangles_agree_with_trimesh():
     rng = np.random.default_rng(3)
     triangles, point = rng.normal(size=(2000, 3, 3)), rng.normal(size=3)
     nearest = trimesh.triangles.closest_point(triangles, np.repeat(point[None], len(triangles), axis=0))
@@ -276,14 +293,14 @@ def test_a_point_is_as_far_from_triangles_as_trimesh_finds():
     )
 
 
-def test_edges_of_a_closed_mesh_are_found_each_once_without_a_sort():
+def test_each_edge_of_a_closed_mesh_is_found_once():
     faces = extract_mesh(Manifold.sphere(3.0, 24) - Manifold.cube((1.0, 1.0, 9.0), True)).faces
     found = find_closed_mesh_edges(faces)
     assert len(np.unique(found, axis=0)) == len(found)
     np.testing.assert_array_equal(found[np.lexsort(found.T[::-1])], find_edges(faces))
 
 
-def test_a_resolved_solid_keeps_every_edge_within_tolerance_of_its_field():
+def test_refinement_keeps_every_edge_within_tolerance_of_the_surface():
     def ball(points):
         return np.linalg.norm(points, axis=1) - 20.0
 
@@ -294,7 +311,7 @@ def test_a_resolved_solid_keeps_every_edge_within_tolerance_of_its_field():
     assert np.abs(ball(mesh.vertices)).max() < 1e-6
 
 
-def test_soft_structures_lie_clear_of_bones_and_of_each_other_within_the_fascia(scene):
+def test_soft_tissues_overlap_neither_bones_nor_each_other(scene):
     solids = {s.name: build_solid(np.array(s.mesh.vertices), np.array(s.mesh.faces), s.name) for s in scene.surfaces}
     soft = [s.name for s in scene.surfaces if s.outside == "muscle" and s.inside != "cortical_bone"]
     cartilage_like = {"femur_cartilage", "tibia_cartilage", "patella_cartilage", "medial_meniscus", "lateral_meniscus"}
@@ -306,7 +323,7 @@ def test_soft_structures_lie_clear_of_bones_and_of_each_other_within_the_fascia(
             assert (solids[name] ^ solids[other]).volume() < 0.05, (name, other)
 
 
-def test_cartilage_takes_its_share_of_the_joint_space():
+def test_femoral_cartilage_fills_47_percent_of_the_joint_space():
     for space in (2.0, 6.0):
         layer = cartilage_and_menisci.build_femoral_cartilage(
             extract_mesh(make_template_femur(SHAPE.femur, TABLES.shape_model).outer), SHAPE, 1.0, (space, space)
@@ -316,14 +333,16 @@ def test_cartilage_takes_its_share_of_the_joint_space():
         assert (thick[layer.bone[:, 2] > 60] == 0).all()
 
 
-def test_cartilage_keeps_off_an_osteophyte_at_its_margin():
-    beaks = tuple(
+def test_cartilage_does_not_overlap_a_marginal_osteophyte():
+    osteophytes = tuple(
         pssf.Osteophyte(site=site, size_mm=size)
         for site, size in (("lateral_tibia", 2.7548), ("lateral_spine", 1.2385), ("medial_tibia", 1.6925))
     )
-    knee = pssf.Knee(jsw_medial_mm=2.8925, jsw_lateral_mm=4.6688, bone_scale=0.9353, osteophytes=beaks)
+    knee = pssf.Knee(jsw_medial_mm=2.8925, jsw_lateral_mm=4.6688, bone_scale=0.9353, osteophytes=osteophytes)
     layers = [s for s in pssf.build(knee).scene.surfaces if s.name.endswith("_cartilage")]
     assert len(layers) == 3
     for layer in layers:
         faults = pssf.check(pssf.Scene([layer], "muscle")).faults
-        assert [fault.surface for fault in faults] == ["ambient"]  # muscle around it, which only a radiograph needs
+        assert [fault.surface for fault in faults] == [
+            "ambient"
+        ]  # the surrounding muscle is absent, which only a radiograph needs

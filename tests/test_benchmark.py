@@ -1,4 +1,4 @@
-"""A frozen data set: its people, splits, baselines, and what is written about it."""
+"""Check the frozen benchmark data set: subjects, splits, baselines, metadata and image hashes."""
 
 import dataclasses
 import hashlib
@@ -24,9 +24,9 @@ from pssf.study.learn.benchmark_baselines import build_benchmark_data, make_spli
 from pssf.study.learn.models import small_network
 from pssf.study.statistics.analyses.leakage_checks import find_leakage_warnings
 
-# Seven knees of six people, one of whom gives both; the fewest that can be split in three parts.
-FEW = {"knees": (4, 0, 3), "bilateral": 1, "doses": (1.0, 0.5), "tilts_deg": (0.0,)}
-# Of Gebru 2021.
+# Seven knees of six subjects, one of them bilateral: the smallest data set that can be split into three parts.
+FEW_KNEES = {"knees": (4, 0, 3), "bilateral": 1, "doses": (1.0, 0.5), "tilts_deg": (0.0,)}
+# Headings of a datasheet by Gebru 2021.
 HEADINGS = (
     *("Motivation", "Composition", "Collection process", "Preprocessing, cleaning, labelling"),
     *("Uses", "Distribution", "Maintenance"),
@@ -34,13 +34,14 @@ HEADINGS = (
 LIGHT = StudySettings(models=("lr",), selections=("l1",), repeats=3, reference="one")
 
 
-def small(name):
+def load_small_protocol(name):
+    """Return a protocol with 256 x 256 pixels of 1.2 mm."""
     return dataclasses.replace(pssf.load_protocol(name), rows=256, cols=256, pixel_mm=1.2)
 
 
-def template():
-    """Of the standard knee, coarse."""
-    radiograph = simulation.simulate(pssf.Knee(), small("reference"), engine="scanline")
+def make_template():
+    """Return a coarse template of the standard knee."""
+    radiograph = simulation.simulate(pssf.Knee(), load_small_protocol("reference"), engine="scanline")
     row, col = radiograph.truth.medial_joint_line_px
     edges = [radiograph.truth.landmarks_px[f"{side}_plateau_edge"][1] for side in ("medial", "lateral")]
     return Template(pixels=radiograph.pixels, row=row, col=col, pixel_mm=1.2, plateau_mm=1.2 * abs(edges[0] - edges[1]))
@@ -48,20 +49,24 @@ def template():
 
 @pytest.fixture(scope="module")
 def tiny(tmp_path_factory):
-    """A folder of the few, and what making it gave; then made once more."""
+    """Make the small benchmark twice; return the first result, its file hashes and the stages of the second run."""
     folder = tmp_path_factory.mktemp("benchmark")
-    fields = {name: value for name, value in dataclasses.asdict(small("fixed_flexion")).items() if value is not None}
+    fields = {
+        name: value
+        for name, value in dataclasses.asdict(load_small_protocol("fixed_flexion")).items()
+        if value is not None
+    }
     path = folder / "fixed_flexion.toml"
     path.write_text("".join(f"{name} = {json.dumps(value)}\n" for name, value in fields.items()))
-    templates, wanted = (template(),), {**FEW, "protocols": (str(path),)}
+    templates, overrides = (make_template(),), {**FEW_KNEES, "protocols": (str(path),)}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(benchmark_maker, "make_standard_templates", lambda workers: templates)
-        # Numbered grade by grade, so that the data set has something to warn of.
+        # Subjects are numbered by grade, so that a leakage warning is raised.
         patch.setattr(plan_module, "_renumber_subjects", lambda cases, seed: cases)
-        result = make_benchmark(folder / "out", Execution(workers=1), overrides=wanted)
-        before = digests(result.folder)
+        result = make_benchmark(folder / "out", Execution(workers=1), overrides=overrides)
+        before = compute_digests(result.folder)
         execution = Execution(workers=1)
-        make_benchmark(folder / "out", execution, overrides=wanted)
+        make_benchmark(folder / "out", execution, overrides=overrides)
     return (
         result,
         before,
@@ -69,7 +74,7 @@ def tiny(tmp_path_factory):
     )
 
 
-def digests(folder):
+def compute_digests(folder):
     return {
         path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
         for path in sorted(folder.rglob("*"))
@@ -77,24 +82,24 @@ def digests(folder):
     }
 
 
-def table(folder, name):
+def read_csv(folder, name):
     return pd.read_csv(folder / name)
 
 
-def test_a_folder_is_a_whole_cohort_and_making_it_again_makes_nothing_and_ends_with_the_same_bytes(tiny):
+def test_a_second_run_of_the_benchmark_makes_nothing_new(tiny):
     result, before, again = tiny
     assert cohort.verify_cohort(result.folder).faults == ()
     assert again["images"] == again["regions and features"] == (14, 0)
-    assert digests(result.folder) == before
+    assert compute_digests(result.folder) == before
     assert {path.name for path in result.folder.iterdir()} == {
         "images", "records", "cohort.json", "manifest.csv", "splits.csv", "features.csv", "baselines.csv",
         "predictions.csv", "datasheet.md", "CITATION.cff", "croissant.json", "frozen.toml",
     }  # fmt: skip
 
 
-def test_every_split_has_every_person_once_and_both_knees_of_one_in_one_part(tiny):
+def test_each_split_contains_each_subject_with_both_knees_in_one_part(tiny):
     folder = tiny[0].folder
-    splits, manifest, tested = (table(folder, f"{name}.csv") for name in ("splits", "manifest", "predictions"))
+    splits, manifest, tested = (read_csv(folder, f"{name}.csv") for name in ("splits", "manifest", "predictions"))
     assert manifest.groupby("subject")["knee"].nunique().max() == 2
     for repeat, split in splits.groupby("repeat"):
         assert sorted(split["subject"]) == sorted(manifest["subject"].unique())
@@ -105,20 +110,20 @@ def test_every_split_has_every_person_once_and_both_knees_of_one_in_one_part(tin
     assert splits["repeat"].nunique() == load_benchmark_definition().splits
 
 
-def test_baselines_are_tested_under_every_dose_but_those_that_are_of_the_knee(tiny):
+def test_image_baselines_are_tested_at_every_dose_and_jsw_at_one(tiny):
     result, folder = tiny[0], tiny[0].folder
-    rows = table(folder, "baselines.csv")
+    rows = read_csv(folder, "baselines.csv")
     where = rows.groupby("model")["tested_on"].agg(set).to_dict()
     assert where["jsw"] == where["measured"] == {"fixed_flexion"}
     assert where["radiomics"] == {"fixed_flexion", "fixed_flexion_dose50"}
-    there = small_network.is_pytorch_installed()
-    assert ("cnn" in where) == there
-    assert any("PyTorch is not installed" in note for note in result.notes) != there
+    is_installed = small_network.is_pytorch_installed()
+    assert ("cnn" in where) == is_installed
+    assert any("PyTorch is not installed" in note for note in result.notes) != is_installed
     assert any("fewer than 6 subjects" in note for note in result.notes)
-    assert result.hash_agreement == (0, 0)  # another data set is held against no hash
+    assert result.hash_agreement == (0, 0)  # a modified data set has no stored hashes to compare with
 
 
-def test_the_datasheet_answers_under_every_heading_and_says_that_these_are_others(tiny):
+def test_the_datasheet_fills_every_heading_and_reports_modifications(tiny):
     page = (tiny[0].folder / "datasheet.md").read_text()
     assert re.findall(r"^## (.*)$", page, re.MULTILINE) == list(HEADINGS)
     for part in re.split(r"^## .*$", page, flags=re.MULTILINE)[1:]:
@@ -131,15 +136,15 @@ def test_the_datasheet_answers_under_every_heading_and_says_that_these_are_other
     assert "arXiv:2601.11642" in citation
 
 
-def test_where_subjects_are_numbered_by_grade_it_is_told_that_names_are_not_to_be_learnt_from(tiny):
-    (told,) = [note for note in tiny[0].notes if "numbered by their grade" in note]
-    assert "file names that contain it, can predict the grade. Do not use them as predictors" in told
+def test_subjects_numbered_by_grade_give_a_leakage_warning(tiny):
+    (warning,) = [note for note in tiny[0].notes if "numbered by their grade" in note]
+    assert "file names that contain it, can predict the grade. Do not use them as predictors" in warning
     page = (tiny[0].folder / "datasheet.md").read_text()
-    assert f"**Warning:** {told}" in page.split("## Collection process")[0].split("## Composition")[1]
+    assert f"**Warning:** {warning}" in page.split("## Collection process")[0].split("## Composition")[1]
 
 
-def held_by_croissant(described):
-    """What Croissant 1.0 requires, and whether all that is referred to is there."""
+def require_valid_croissant(described):
+    """Require the properties of Croissant 1.0 and that every reference has a target."""
     required = ("@context", "@type", "conformsTo", "description", "license", "name", "url", "creator", "datePublished")
     assert not set(required) - set(described)
     assert described["@type"] == "sc:Dataset"
@@ -160,10 +165,10 @@ def held_by_croissant(described):
         assert all("source" in field for field in one["field"]) != ("data" in one)
 
 
-def test_the_croissant_file_has_what_version_1_0_requires_and_the_hashes_and_columns_of_the_files(tiny):
+def test_the_croissant_file_is_valid_and_describes_the_written_files(tiny):
     folder = tiny[0].folder
     described = json.loads((folder / "croissant.json").read_text())
-    held_by_croissant(described)
+    require_valid_croissant(described)
     for file in described["distribution"]:
         if file["@type"] == "cr:FileObject":
             content = (folder / file["contentUrl"]).read_bytes()
@@ -173,73 +178,77 @@ def test_the_croissant_file_has_what_version_1_0_requires_and_the_hashes_and_col
         for field in one["field"]:
             source = field.get("source", {})
             if "fileObject" in source:
-                assert source["extract"]["column"] in table(folder, source["fileObject"]["@id"]).columns
+                assert source["extract"]["column"] in read_csv(folder, source["fileObject"]["@id"]).columns
 
 
-def test_a_description_that_lacks_something_is_seen(tiny):
+def test_an_incomplete_croissant_file_fails_the_check(tiny):
     described = json.loads((tiny[0].folder / "croissant.json").read_text())
     for name in ("url", "datePublished"):
         with pytest.raises(AssertionError):
-            held_by_croissant({key: value for key, value in described.items() if key != name})
+            require_valid_croissant({key: value for key, value in described.items() if key != name})
     described["recordSet"][0]["field"][0]["source"]["fileObject"]["@id"] = "another.csv"
     with pytest.raises(AssertionError):
-        held_by_croissant(described)
+        require_valid_croissant(described)
 
 
 def test_mlcroissant_reads_labels_and_splits(tiny):
-    mlcroissant = pytest.importorskip("mlcroissant", reason="of the group `peers`")
+    mlcroissant = pytest.importorskip("mlcroissant", reason="mlcroissant is in the dependency group `peers`")
     read = mlcroissant.Dataset(jsonld=str(tiny[0].folder / "croissant.json"))
     assert not read.metadata.ctx.issues.errors
     assert len(list(read.records("radiographs"))) == 14
     assert {row["splits/part"] for row in read.records("splits")} == {b"training", b"validation", b"test"}
 
 
-def test_columns_that_a_manifest_lacks_are_not_described():
+def test_croissant_describes_only_columns_of_the_manifest():
     files = {name: ("0" * 64, 1) for name in ("manifest.csv", "splits.csv")}
     described = build_croissant_metadata(load_benchmark_definition(), files, ["radiograph", "grade"])
-    held_by_croissant(described)
+    require_valid_croissant(described)
     names = [field["@id"] for field in described["recordSet"][0]["field"]]
     assert names == ["radiographs/radiograph", "radiographs/grade", "radiographs/image"]
 
 
-def test_numbers_of_its_people_tell_no_grade_and_change_no_image(monkeypatch):
+def test_subject_numbers_do_not_predict_the_grade_or_change_images(monkeypatch):
     whole = cohort.plan_cohort("benchmark-1", seed=0)
     monkeypatch.setattr(plan_module, "_renumber_subjects", lambda cases, seed: cases)
     by_grade = cohort.plan_cohort("benchmark-1", seed=0)
 
-    def images(plan):
-        return [(case.knee, *((taken.protocol, taken.seed) for taken in case.exposures)) for case in plan.cases]
+    def list_images(plan):
+        return [
+            (case.knee, *((exposure.protocol, exposure.seed) for exposure in case.exposures)) for case in plan.cases
+        ]
 
-    assert set(images(whole)) == set(images(by_grade))
-    assert images(whole) != images(by_grade)
+    assert set(list_images(whole)) == set(list_images(by_grade))
+    assert list_images(whole) != list_images(by_grade)
     assert [case.index for case in whole.cases] == list(range(1100))
     assert sorted({case.subject for case in whole.cases}) == list(range(1000))
     for case in whole.cases:
-        assert all(taken.name.startswith(f"s{case.subject:04d}_k{case.index:04d}_fixed") for taken in case.exposures)
-    for plan, told in ((by_grade, 1), (whole, 0), (cohort.select_subjects(whole, 50), 0)):
+        assert all(
+            exposure.name.startswith(f"s{case.subject:04d}_k{case.index:04d}_fixed") for exposure in case.exposures
+        )
+    for plan, warnings in ((by_grade, 1), (whole, 0), (cohort.select_subjects(whole, 50), 0)):
         rows = [(case.subject, case.index, case.knee.grade) for case in plan.cases]
-        people = pd.DataFrame(rows, columns=["subject", "knee", "grade"])
-        assert people["subject"].is_monotonic_increasing
-        assert people.groupby("subject")["grade"].nunique().max() == 1
+        subjects = pd.DataFrame(rows, columns=["subject", "knee", "grade"])
+        assert subjects["subject"].is_monotonic_increasing
+        assert subjects.groupby("subject")["grade"].nunique().max() == 1
         assert (
-            sum("numbered by their grade" in line for line in find_leakage_warnings(people.assign(protocol="one")))
-            == told
+            sum("numbered by their grade" in line for line in find_leakage_warnings(subjects.assign(protocol="one")))
+            == warnings
         )
 
 
-def test_some_people_are_spread_over_the_grades_with_the_images_of_the_whole():
+def test_a_subset_of_subjects_is_balanced_by_grade_and_keeps_its_images():
     whole = cohort.plan_cohort("benchmark-1", seed=0)
     part, fewer = cohort.select_subjects(whole, 50), cohort.select_subjects(whole, 25)
     assert set(fewer.cases) < set(part.cases) < set(whole.cases)
-    people = {case.subject: case.knee.grade for case in part.cases}
-    assert sorted(people.values()) == sorted([0, 1, 2, 3, 4] * 10)
-    assert len(part.cases) > 50  # some gave both knees
+    subjects = {case.subject: case.knee.grade for case in part.cases}
+    assert sorted(subjects.values()) == sorted([0, 1, 2, 3, 4] * 10)
+    assert len(part.cases) > 50  # some subjects are bilateral
     for wrong in (0, 7, 1005):
-        with pytest.raises(pssf.InputError, match=rf"people must be a multiple of 5, .* up to 1000, got {wrong}"):
+        with pytest.raises(pssf.InputError, match=rf"subjects must be a multiple of 5, .* up to 1000, got {wrong}"):
             cohort.select_subjects(whole, wrong)
 
 
-def test_a_hash_is_of_a_persons_pixels_and_the_radiographs_names_and_of_nothing_else():
+def test_a_subject_hash_depends_only_on_pixels_and_radiograph_names():
     images = {f"{k}.tif": np.full((4, 4), k, np.uint16) for k in range(3)}
     rows = [{"subject": k // 2, "radiograph": f"r{k}", "file": f"{k}.tif"} for k in range(3)]
     made = hash_subject_pixels(pd.DataFrame(rows), images.__getitem__)
@@ -261,8 +270,11 @@ def test_a_hash_is_of_a_persons_pixels_and_the_radiographs_names_and_of_nothing_
     assert f'"0" = "{made["0"]}"' in format_hashes_toml(made)
 
 
-def made_up(per_grade=12):
-    """A manifest and features: grade 0 and 2 by `signal`, under two protocols; one person in five gives both knees."""
+def make_manifest_with_features(per_grade=12):
+    """Return a manifest with features under two protocols: `signal` separates grades 0 and 2.
+
+    One subject in five is bilateral.
+    """
     rng, rows = np.random.default_rng(3), []
     for subject in range(2 * per_grade):
         for knee in range(2 if subject % 5 == 0 else 1):
@@ -280,8 +292,8 @@ def made_up(per_grade=12):
     return pd.DataFrame(rows)
 
 
-def test_baselines_learn_from_one_protocol_and_from_training_people_alone():
-    usable = made_up()
+def test_baselines_train_on_one_protocol_and_on_training_subjects_only():
+    usable = make_manifest_with_features()
     splits = make_splits(usable, LIGHT)
     parameters = usable.drop_duplicates("knee")[["knee", "nominal_jsw_medial_mm", "nominal_jsw_lateral_mm"]]
 
@@ -296,7 +308,7 @@ def test_baselines_learn_from_one_protocol_and_from_training_people_alone():
     assert ((within["p1"] > 0.5) == (within["truth"] == 1)).groupby("model").mean().min() > 0.9
     shifted = first[(first["scenario"] == "cross")]
     assert set(shifted.index.get_level_values("model")) == {"radiomics"}
-    assert (shifted["p1"] > 0.5).all()  # a model that had learnt from the other protocol would know of the shift
+    assert (shifted["p1"] > 0.5).all()  # a model trained on the other protocol would correct the shift
     test = splits[(splits["repeat"] == 0) & (splits["part"] == "test")]["subject"]
     spoilt = usable.copy()
     spoilt.loc[spoilt["subject"].isin(test), "signal"] *= -1.0
@@ -308,8 +320,8 @@ def test_baselines_learn_from_one_protocol_and_from_training_people_alone():
     pd.testing.assert_frame_equal(again.loc[0].loc[keys], first.loc[0].loc[keys])
 
 
-def test_baselines_of_nothing_to_learn_from_are_refused():
-    usable = made_up()
+def test_baselines_without_training_data_are_rejected():
+    usable = make_manifest_with_features()
     splits, names = make_splits(usable, LIGHT), ["signal", "noise"]
     parameters = usable.drop_duplicates("knee")[["knee", "nominal_jsw_medial_mm", "nominal_jsw_lateral_mm"]]
     for found in (usable[usable["protocol"] == "two"], usable[:0]):
@@ -317,19 +329,20 @@ def test_baselines_of_nothing_to_learn_from_are_refused():
             build_benchmark_data(found, names, parameters, LIGHT)
     films = build_benchmark_data(usable[usable["grade"] == 2], names, parameters, LIGHT)
     with pytest.raises(
-        pssf.InputError, match=r"grades with a located region must be those of one of 0 vs 2, .*got \[2\]"
+        pssf.InputError,
+        match=r"grades with a located region must include all grades of one task among 0 vs 2, .*got \[2\]",
     ):
         predict_baselines(films, splits, LIGHT, Execution())
 
 
 @pytest.mark.parametrize("side_px", [16, 110, 127, 128, 511, 512, 513])
-def test_a_network_sees_no_more_than_it_is_said_to(side_px):
-    shown = small_network.make_network_input(np.full((side_px, side_px), 7, np.uint16), "left")
-    assert min(side_px, small_network.INPUT_SIDE_PX) / 2 < shown.shape[0] <= small_network.INPUT_SIDE_PX
-    assert np.allclose(shown, np.log(7))
+def test_the_network_input_is_at_most_as_large_as_documented(side_px):
+    network_input = small_network.make_network_input(np.full((side_px, side_px), 7, np.uint16), "left")
+    assert min(side_px, small_network.INPUT_SIDE_PX) / 2 < network_input.shape[0] <= small_network.INPUT_SIDE_PX
+    assert np.allclose(network_input, np.log(7))
 
 
-def test_a_network_sees_medial_on_one_side():
+def test_network_input_of_left_knees_is_mirrored_to_right_knees():
     region = np.arange(1, 129 * 128 + 1, dtype=np.uint16)[: 128 * 128].reshape(128, 128)
     right, left = (
         small_network.make_network_input(region, "right"),
@@ -339,15 +352,15 @@ def test_a_network_sees_medial_on_one_side():
     assert np.array_equal(right, left)
 
 
-def test_without_pytorch_the_reason_is_told(monkeypatch):
+def test_without_pytorch_the_missing_network_is_explained(monkeypatch):
     monkeypatch.setattr(small_network, "find_spec", lambda name: None)
     from pssf.study.learn.benchmark_baselines import explain_missing_network
 
     assert explain_missing_network() == "not run: PyTorch is not installed (pip install '.[cnn]')"
 
 
-@pytest.mark.skipif(not small_network.is_pytorch_installed(), reason="PyTorch, of the extra `cnn`, is not installed")
-def test_a_network_learns_and_is_the_same_for_the_same_seed():
+@pytest.mark.skipif(not small_network.is_pytorch_installed(), reason="PyTorch (`cnn` extra) is not installed")
+def test_a_network_learns_a_signal_and_is_reproducible_by_its_seed():
     rng = np.random.default_rng(0)
     truth = np.arange(60) % 2
     images = rng.normal(size=(60, 32, 32)).astype(np.float32)
@@ -359,39 +372,39 @@ def test_a_network_learns_and_is_the_same_for_the_same_seed():
     assert np.allclose(one.sum(axis=1), 1.0)
     assert ((one[:, 1] > 0.5) == (truth[50:] == 1)).mean() >= 0.9
     (train, known), (check, known_too) = parts
-    # Labels that are tied to nothing are not learnt: 20 unseen images, half of them right by chance.
+    # Shuffled labels cannot be learned: about half of the test images are right by chance.
     shuffled = small_network.train_network(
         (train, rng.permutation(known)), (check, rng.permutation(known_too)), 2, seed=1
     )
     assert ((shuffled(images[50:])[:, 1] > 0.5) == (truth[50:] == 1)).mean() < 1.0
-    # What it says of an image does not hang on the others that it is asked of.
-    learnt = small_network.train_network(*parts, 2, seed=1)
-    assert np.allclose(np.concatenate([learnt(image[None]) for image in images[50:]]), one, atol=1e-6)
+    # The prediction for an image does not depend on the other images of the batch.
+    trained = small_network.train_network(*parts, 2, seed=1)
+    assert np.allclose(np.concatenate([trained(image[None]) for image in images[50:]]), one, atol=1e-6)
 
 
-def test_the_command_refuses_people_that_cannot_be_had(tmp_path):
-    with pytest.raises(pssf.InputError, match=r"people must be a multiple of 5, .* got 3"):
-        make_benchmark(tmp_path / "out", Execution(workers=1), people=3)
+def test_invalid_numbers_of_benchmark_subjects_are_rejected(tmp_path):
+    with pytest.raises(pssf.InputError, match=r"subjects must be a multiple of 5, .* got 3"):
+        make_benchmark(tmp_path / "out", Execution(workers=1), subjects=3)
     with pytest.raises(pssf.InputError, match=r"grade 0 must have at least 3 subjects .*got 1"):
-        make_benchmark(tmp_path / "out", Execution(workers=1), people=5)
+        make_benchmark(tmp_path / "out", Execution(workers=1), subjects=5)
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.slow
-def test_fifty_people_are_as_they_were_frozen(tmp_path):
-    made = make_benchmark(tmp_path / "out", Execution(workers=2), people=50)
-    manifest = table(made.folder, "manifest.csv")
+def test_the_images_of_fifty_subjects_match_the_frozen_hashes(tmp_path):
+    made = make_benchmark(tmp_path / "out", Execution(workers=2), subjects=50)
+    manifest = read_csv(made.folder, "manifest.csv")
     assert manifest["subject"].nunique() == 50
     assert len(manifest) == 6 * manifest["knee"].nunique()
     assert set(made.baselines["task"]) == {"0 vs 2", "0 vs 3+4", "0/1/2/3/4"}
-    held_by_croissant(json.loads((made.folder / "croissant.json").read_text()))
+    require_valid_croissant(json.loads((made.folder / "croissant.json").read_text()))
     assert cohort.verify_cohort(made.folder).faults == ()
     assert "a part of it: 50 of 1000 subjects" in (made.folder / "datasheet.md").read_text()
-    # Other images are another data set: a change that makes them gets another name, or writes the hashes anew.
+    # A change that alters images needs a new version of the data set or new hashes.
     assert len(load_benchmark_hashes()) == 1000
     assert made.hash_agreement == (50, 50)
 
 
-def test_the_preset_is_the_one_that_is_told_of():
+def test_the_benchmark_definition_names_an_existing_preset():
     assert load_benchmark_definition().preset in load_presets()
     assert load_presets()[load_benchmark_definition().preset].repeats == load_benchmark_definition().splits

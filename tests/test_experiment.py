@@ -1,4 +1,4 @@
-"""From a plan to what the study is given, and back to an earlier run."""
+"""Check an experiment from its plan to the study, and the reuse of an earlier run."""
 
 import dataclasses
 import json
@@ -20,8 +20,8 @@ from pssf.io import study_results
 from pssf.study import StudyResult, StudySettings, resume
 
 
-def tiny(folder):
-    """A cohort of two knees under one protocol of 64 x 64 pixels."""
+def write_tiny_cohort_settings(folder):
+    """Write a protocol of 64 x 64 pixels and return settings for a cohort of two knees."""
     protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=64, cols=64, pixel_mm=4.8)
     fields = {name: value for name, value in dataclasses.asdict(protocol).items() if value is not None}
     path = folder / "reference.toml"
@@ -29,57 +29,58 @@ def tiny(folder):
     return {"knees": [0, 1, 1], "protocols": [str(path)], "retested": 1}
 
 
-def made(folder, cohort, **settings):
+def make_tiny_experiment(folder, cohort, **settings):
+    """Make an experiment and return it with its execution."""
     execution = Execution()
-    how = {"preset": "quick", "seed": 1, "engine": "scanline", "cohort": cohort, "settings": settings}
-    return make_experiment(folder / "out", execution, **how), execution
+    return make_experiment(folder / "out", execution, {"seed": 1, **cohort, **settings}), execution
 
 
-def counts(execution):
+def count_items(execution):
+    """Return the numbers of existing and of new items per stage."""
     return {name: (stage.already_done, stage.newly_done) for name, stage in execution.timer.stages.items()}
 
 
-def test_knees_taken_again_are_told_by_knee_kind_and_turn_and_their_files_are_there(tmp_path):
-    experiment, execution = made(tmp_path, tiny(tmp_path))
+def test_retests_list_knee_kind_and_turn_and_their_files_exist(tmp_path):
+    experiment, execution = make_tiny_experiment(tmp_path, write_tiny_cohort_settings(tmp_path))
     first, retest = experiment.manifest.iloc[0], experiment.retest
     assert list(retest["kind"]) == ["noise", "noise", "perturbation", "perturbation"]
-    assert list(retest["turn"]) == [1, 2, 1, 2]
+    assert list(retest["repeat_index"]) == [1, 2, 1, 2]
     assert (retest["knee"] == first["knee"]).all()
     assert (retest["subject"] == first["subject"]).all()
     for file in [*retest["file"], *experiment.manifest["file"]]:
         assert load_radiograph_pixels(experiment.out, file).shape == (64, 64)
     assert {"femur", "tibia"} <= set(_load_masks(experiment.out, retest["masks"].iloc[0]))
-    assert counts(execution) == {"cohort": (0, 2), "repeats": (0, 4)}
-    once_more, execution = made(tmp_path, tiny(tmp_path))
-    assert counts(execution) == {"cohort": (2, 0), "repeats": (4, 0)}
+    assert count_items(execution) == {"cohort": (0, 2), "repeats": (0, 4)}
+    once_more, execution = make_tiny_experiment(tmp_path, write_tiny_cohort_settings(tmp_path))
+    assert count_items(execution) == {"cohort": (2, 0), "repeats": (4, 0)}
     assert once_more.manifest.equals(experiment.manifest)
 
 
-def test_without_knees_to_retest_there_are_no_repeats(tmp_path):
-    assert made(tmp_path, tiny(tmp_path) | {"retested": 0})[0].retest is None
+def test_no_retested_knees_give_no_retest_manifest(tmp_path):
+    assert make_tiny_experiment(tmp_path, write_tiny_cohort_settings(tmp_path) | {"retested": 0})[0].retest is None
 
 
-def test_settings_are_refused_before_a_radiograph_is_made(tmp_path):
+def test_invalid_settings_are_rejected_before_any_radiograph_is_made(tmp_path):
     with pytest.raises(pssf.InputError, match=r"families must be one of .*, got 'glmc'"):
-        made(tmp_path, tiny(tmp_path), families=("glmc",))
+        make_tiny_experiment(tmp_path, write_tiny_cohort_settings(tmp_path), families=("glmc",))
     assert not (tmp_path / "out").exists()
 
 
-def test_where_the_reference_is_left_out_the_first_protocol_stands_for_it(tmp_path):
-    cohort = tiny(tmp_path)
+def test_without_the_reference_the_first_protocol_replaces_it(tmp_path):
+    cohort = write_tiny_cohort_settings(tmp_path)
     path = tmp_path / "reference.toml"
     path.write_text(path.read_text().replace('name = "reference"', 'name = "mine"'))
-    experiment, _ = made(tmp_path, cohort)
+    experiment, _ = make_tiny_experiment(tmp_path, cohort)
     assert experiment.settings.reference == "mine"
     assert set(experiment.retest["protocol"]) == {"mine"}
 
 
-def test_files_are_named_from_the_folder_above():
+def test_manifest_paths_are_relative_to_the_experiment_folder():
     assert list(_prefix_files("cohort", pd.DataFrame({"file": ["images/a.tif"]}))["file"]) == ["cohort/images/a.tif"]
 
 
-def result_in(out) -> StudyResult:
-    """What a study might have left."""
+def write_study_result(out) -> StudyResult:
+    """Write the files of a minimal study result."""
     tables = {name: out / f"{name}.csv" for name in ("scores", "differences", "reliability", "localisation")}
     value = pd.DataFrame({"name": ["a", "b"], "value": [0.1 + 0.2, float("nan")]})
     for path in tables.values():
@@ -92,40 +93,40 @@ def result_in(out) -> StudyResult:
     )  # fmt: skip
 
 
-def test_a_finished_run_is_given_back_and_nothing_is_done_again(tmp_path, monkeypatch):
-    asked, execution = made(tmp_path, tiny(tmp_path))
+def test_a_finished_run_is_reused_without_running_again(tmp_path, monkeypatch):
+    requested, execution = make_tiny_experiment(tmp_path, write_tiny_cohort_settings(tmp_path))
     monkeypatch.setattr(experiment, "make_standard_templates", lambda engine, workers: None)
     runs = []
-    monkeypatch.setattr(experiment, "run", lambda *given, **how: runs.append(1) or result_in(asked.out))
-    first = run_experiment(asked, execution)
-    again = run_experiment(asked, execution)
+    monkeypatch.setattr(experiment, "run", lambda *args, **kwargs: runs.append(1) or write_study_result(requested.out))
+    first = run_experiment(requested, execution)
+    again = run_experiment(requested, execution)
     assert runs == [1]
     assert (first.origin, again.origin) == ("this run", "an earlier run")
     assert again.tables == first.tables
     assert again.seconds == first.seconds
     pd.testing.assert_frame_equal(again.scores, first.scores, check_exact=True)
-    settings = dataclasses.replace(asked.settings, bins=32)
-    run_experiment(dataclasses.replace(asked, settings=settings), execution)
+    settings = dataclasses.replace(requested.settings, bins=32)
+    run_experiment(dataclasses.replace(requested, settings=settings), execution)
     assert runs == [1, 1]
 
 
-@pytest.mark.parametrize("harm", ["change", "delete"])
-def test_a_finished_run_with_a_file_changed_or_gone_is_done_again(tmp_path, harm):
+@pytest.mark.parametrize("damage", ["change", "delete"])
+def test_a_finished_run_with_a_changed_or_deleted_file_is_not_reused(tmp_path, damage):
     key = resume.compute_run_key([pd.DataFrame({"a": [1]})], StudySettings(), "scanline")
-    resume.save_finished_run(result_in(tmp_path), tmp_path, key)
+    resume.save_finished_run(write_study_result(tmp_path), tmp_path, key)
     assert resume.load_finished_run(tmp_path, key) is not None
     assert resume.load_finished_run(tmp_path, "another key") is None
     path = tmp_path / "scores.csv"
-    path.write_text("name\n") if harm == "change" else path.unlink()
+    path.write_text("name\n") if damage == "change" else path.unlink()
     assert resume.load_finished_run(tmp_path, key) is None
 
 
 @pytest.mark.parametrize(
-    "text", ["[]", "1", '"x"', "{}", "[" * 100_000, "lacks sha256", "lacks scores", "lacks a hash", "of another form"]
+    "text", ["[]", "1", '"x"', "{}", "[" * 100_000, "lacks sha256", "lacks scores", "lacks a hash", "wrong type"]
 )
-def test_a_mark_of_another_form_is_no_end_of_a_run(tmp_path, text):
+def test_an_invalid_finished_file_does_not_mark_a_finished_run(tmp_path, text):
     key = resume.compute_run_key([pd.DataFrame({"a": [1]})], StudySettings(), "scanline")
-    resume.save_finished_run(result_in(tmp_path), tmp_path, key)
+    resume.save_finished_run(write_study_result(tmp_path), tmp_path, key)
     path = tmp_path / "finished.json"
     end = json.loads(path.read_text())
     if text == "lacks sha256":
@@ -135,13 +136,13 @@ def test_a_mark_of_another_form_is_no_end_of_a_run(tmp_path, text):
         del end["sha256"]["scores.csv"]
     elif text == "lacks a hash":
         del end["sha256"]["report.html"]
-    elif text == "of another form":
+    elif text == "wrong type":
         end["seconds"] = {"cohort": "2"}
-    path.write_text(json.dumps(end) if text.startswith(("lacks", "of")) else text)
+    path.write_text(json.dumps(end) if text.startswith(("lacks", "wrong")) else text)
     assert resume.load_finished_run(tmp_path, key) is None
 
 
-def test_the_key_of_a_run_changes_with_manifest_settings_engine_and_code(monkeypatch):
+def test_the_run_key_depends_on_manifest_settings_engine_and_code(monkeypatch):
     def key(value=1, engine="scanline", **settings):
         return resume.compute_run_key([pd.DataFrame({"a": [value]})], StudySettings(**settings), engine)
 

@@ -1,10 +1,10 @@
-"""Lists of films: which files count, what their names say, and tables that have a column or a film twice."""
+"""Check lists of patient radiographs: files, names of subjects and sides, and invalid tables."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from test_films import dicom, film_at, grey
+from test_patient_radiographs import make_grey_ramp, write_dicom, write_film
 
 from pssf.core.checks import InputError
 from pssf.io import cohort_records, file_conditions, study_results
@@ -34,56 +34,58 @@ CELLS = st.text(st.characters(codec="utf-8", exclude_categories=["Cc", "Cs", "Zl
         ("p12a_L", "p12a_R", "p12a"),
     ],
 )
-def test_films_of_both_knees_of_a_person_are_of_one_subject(one, other, subject):
+def test_file_names_of_both_knees_give_one_subject(one, other, subject):
     assert parse_subject_and_side(one) == (subject, "left")
     assert parse_subject_and_side(other) == (subject, "right")
 
 
 @pytest.mark.parametrize("stem", ["bright_1", "cleft2", "Smith_L", "12_left_right", "leftover", "ANNAL", "12l", "R_12"])
-def test_a_name_that_may_mean_something_else_is_a_subject_without_a_side(stem):
+def test_an_ambiguous_file_name_gives_no_side(stem):
     assert parse_subject_and_side(stem) == (stem, None)
 
 
-def test_a_side_alone_is_of_the_person_whose_folder_holds_it(tmp_path):
+def test_a_file_named_by_side_takes_its_subject_from_the_folder(tmp_path):
     for name in ("P1/left.png", "P1/right.png", "P2/left.png"):
-        film_at(tmp_path / name)
+        write_film(tmp_path / name)
     (tmp_path / "P2" / "left.png").write_bytes((tmp_path / "P1" / "right.png").read_bytes()[:-1] + b"x")
     (tmp_path / "films.csv").write_text("file\nP1/left.png\nP1/right.png\nP2/left.png\n")
     assert [(f.subject, f.side) for f in list_films(tmp_path)] == [("P1", "left"), ("P1", "right"), ("P2", "left")]
 
 
-def test_hidden_files_resource_forks_and_locks_are_no_films_and_no_tables(tmp_path):
-    film_at(tmp_path / "0" / "7.png")
+def test_hidden_and_lock_files_are_not_listed(tmp_path):
+    write_film(tmp_path / "0" / "7.png")
     for name in ("0/._7.png", "0/.hidden.png", "0/.DS_Store", "0/Thumbs.db", ".DS_Store"):
         (tmp_path / name).write_bytes(b"\x00\x05\x16\x07 not a picture")
     for name in ("~$films.csv", "._films.csv"):
         (tmp_path / name).write_bytes(b"\x00 lock")
     assert [film.file for film in list_films(tmp_path)] == ["0/7.png"]
     (tmp_path / "FILMS.CSV").write_text("file\n0/7.png\n")
-    assert [film.grade for film in list_films(tmp_path)] == [None]  # the table is read, whatever the case of its suffix
+    assert [film.grade for film in list_films(tmp_path)] == [
+        None
+    ]  # the table is read in spite of its upper-case suffix
 
 
-def test_hidden_files_are_no_bones(tmp_path):
+def test_hidden_files_are_not_read_as_bones(tmp_path):
     np.savez(tmp_path / "bones.npz", femur_mm=np.eye(3)[None], femur_faces=[[0, 1, 2]])
     (tmp_path / "._bones.npz").write_bytes(b"\x00\x05\x16\x07")
     assert len(read_bones(tmp_path)["femur"]) == 1
 
 
-def test_dicom_files_of_every_name_are_listed_and_read(tmp_path):
-    for name in ("a.dcm", "b.dicom", "c.IMA", "1.2.840.113619.7", "IM0001", "DICOMDIR"):
-        dicom(tmp_path / name, grey(8))
+def test_dicom_files_are_found_with_any_file_name(tmp_path):
+    for name in ("a.dcm", "b.write_dicom", "c.IMA", "1.2.840.113619.7", "IM0001", "DICOMDIR"):
+        write_dicom(tmp_path / name, make_grey_ramp(8))
     (tmp_path / "notes.txt").write_text("no image")
     (tmp_path / "README").write_text("no image")
     films = list_films(tmp_path)
-    assert [film.file for film in films] == ["1.2.840.113619.7", "IM0001", "a.dcm", "b.dicom", "c.IMA"]
+    assert [film.file for film in films] == ["1.2.840.113619.7", "IM0001", "a.dcm", "b.write_dicom", "c.IMA"]
     assert films[0].subject == "1.2.840.113619.7"
-    shown = read_film(tmp_path / "a.dcm")
-    assert all(np.array_equal(read_film(tmp_path / film.file).pixels, shown.pixels) for film in films[:2])
+    expected = read_film(tmp_path / "a.dcm")
+    assert all(np.array_equal(read_film(tmp_path / film.file).pixels, expected.pixels) for film in films[:2])
 
 
-def test_a_grade_that_a_data_frame_made_a_float_of_is_that_grade(tmp_path):
+def test_a_grade_written_as_a_float_is_read_as_a_whole_number(tmp_path):
     for name in ("a.png", "b.png"):
-        film_at(tmp_path / name)
+        write_film(tmp_path / name)
     (tmp_path / "films.csv").write_text("file,grade,subject\na.png,2.0,9003175.0\nb.png,,\n")
     one, other = list_films(tmp_path)
     assert (one.grade, one.subject, other.grade) == (2, "9003175", None)
@@ -104,18 +106,18 @@ def test_a_grade_that_a_data_frame_made_a_float_of_is_that_grade(tmp_path):
     ],
     ids=["films", "rows", "records", "manifest", "table", "typed table"],
 )
-def test_a_column_given_twice_is_refused_by_every_reader_of_tables(read, tmp_path):
-    film_at(tmp_path / "a.png")
+def test_every_table_reader_rejects_a_duplicate_column(read, tmp_path):
+    write_film(tmp_path / "a.png")
     path = tmp_path / "films.csv"
     path.write_text("file,grade,grade\na.png,2,3\n")
     with pytest.raises(InputError, match="column 'grade' must be given once, got it 2 times"):
         read(path)
-    # What a condition asks of such a table is not fulfilled.
+    # A condition on such a table is not met.
     assert file_conditions.find_unmet_condition(tmp_path, "films.csv grade = 3")
 
 
-def test_a_film_under_two_spellings_of_its_path_is_a_film_twice(tmp_path):
-    film_at(tmp_path / "a.png")
+def test_two_spellings_of_a_path_count_as_a_duplicate(tmp_path):
+    write_film(tmp_path / "a.png")
     (tmp_path / "films.csv").write_text("file,grade\na.png,2\n./a.png,2\n")
     with pytest.raises(InputError, match=r"line 3: file must be listed once, got '\./a\.png' again"):
         list_films(tmp_path)
@@ -132,13 +134,13 @@ def test_a_film_under_two_spellings_of_its_path_is_a_film_twice(tmp_path):
         ({"subject": float("nan")}, "subject must be text, got nan"),
     ],
 )
-def test_a_film_made_in_python_is_checked_as_a_row_of_a_table_is(more, why):
+def test_a_film_created_in_python_is_checked_like_a_table_row(more, why):
     with pytest.raises(InputError, match=why):
         Film(**{"file": "a.png", "grade": None, "subject": "1", "side": None, "pixel_mm": None, "sha256": "0"} | more)
 
 
 @given(rows=st.lists(st.lists(CELLS, min_size=2, max_size=2), max_size=4))
-def test_rows_come_back_as_they_were_written(rows, tmp_path_factory):
+def test_csv_rows_are_read_as_written(rows, tmp_path_factory):
     import csv
 
     path = tmp_path_factory.mktemp("rows") / "table.csv"

@@ -1,6 +1,6 @@
-"""Models of all five grades: trained on a cohort of them, saved, scored and read on films."""
+"""Check models of all five grades: training, files, scores and prediction on films."""
 
-import drawn
+import block_knee_cohort
 import numpy as np
 import pandas as pd
 import pytest
@@ -17,41 +17,45 @@ NAME = "lr_l1_01234_films"
 @pytest.fixture(scope="module")
 def films(tmp_path_factory):
     folder = tmp_path_factory.mktemp("five") / "films"
-    for place in range(15):
-        side = ("right", "left")[place % 2]
-        drawn.film(folder / str(place % 5) / f"p{place:03d}{'RL'[place % 2]}.png", place % 5, side, place)
+    for number in range(15):
+        side = ("right", "left")[number % 2]
+        block_knee_cohort.write_film(
+            folder / str(number % 5) / f"p{number:03d}{'RL'[number % 2]}.png", number % 5, side, number
+        )
     return folder
 
 
 @pytest.fixture(scope="module")
 def trained(films, tmp_path_factory):
-    cohort = drawn.Cohort(6, grades=5)
+    cohort = block_knee_cohort.Cohort(6, grades=5)
     manifest = cohort.manifest[cohort.manifest["protocol"] == "reference"]
-    given = drawn.film_set(films, load_cohort=cohort.display)
+    film_set = block_knee_cohort.make_film_set(films, load_cohort=cohort.display)
     folder = tmp_path_factory.mktemp("five_study")
-    return study.run(manifest, cohort.load, [drawn.TEMPLATE], drawn.LIGHT, folder / "out", films=given)
+    return study.run(
+        manifest, cohort.load, [block_knee_cohort.TEMPLATE], block_knee_cohort.LIGHT, folder / "out", films=film_set
+    )
 
 
-def test_a_model_of_all_grades_is_kept_and_reads_films_with_five_probabilities(trained, films):
+def test_a_model_of_all_grades_predicts_five_probabilities_for_films(trained, films):
     assert {NAME, "lr_l1_01234_reference"} <= set(trained.models)
     model = unpack_model(trained.models[NAME].read_bytes(), NAME)
     assert model.card.grades == (0, 1, 2, 3, 4)
     assert model.card.grade_names[3:] == ("moderate OA", "severe OA")
     assert (model.card.subjects, model.card.task) == (30, "0/1/2/3/4")
     listed = list_films(films)
-    read = predict_films(model, listed, films).table
-    chances = read[[f"p grade {grade}" for grade in range(5)]].to_numpy()
-    assert (read["status"] == "found").all()
-    assert_allclose(chances.sum(axis=1), 1.0)
-    off = chances @ np.arange(5) - read["grade"].to_numpy(float)
-    assert np.abs(off).mean() < 1.0
+    predicted = predict_films(model, listed, films).table
+    probabilities = predicted[[f"p grade {grade}" for grade in range(5)]].to_numpy()
+    assert (predicted["status"] == "found").all()
+    assert_allclose(probabilities.sum(axis=1), 1.0)
+    errors = probabilities @ np.arange(5) - predicted["grade"].to_numpy(float)
+    assert np.abs(errors).mean() < 1.0
 
 
-def test_films_are_scored_by_how_far_their_grades_are_off(trained):
-    scores = pd.read_csv(trained.tables["films_grades"]).set_index("learnt")
+def test_film_predictions_are_scored_by_quadratic_kappa(trained):
+    scores = pd.read_csv(trained.tables["films_grades"]).set_index("task")
     assert set(scores.index) == {"0/1/2", "0/1/2/3/4"}
     five = scores.loc["0/1/2/3/4"]
-    assert five["films"] == 15
+    assert five["radiographs"] == 15
     assert 0.3 < five["kappa"] <= 1.0
     assert five["kappa_low"] < five["kappa_high"]
     assert five["balanced_accuracy_low"] <= five["balanced_accuracy"] <= five["balanced_accuracy_high"]
@@ -60,6 +64,6 @@ def test_films_are_scored_by_how_far_their_grades_are_off(trained):
     assert "Confusion matrices of grades 0/1/2/3/4" in page
 
 
-def test_a_cohort_of_five_grades_is_studied_in_every_task(trained):
+def test_a_cohort_of_five_grades_is_evaluated_in_every_task(trained):
     scores = pd.read_csv(trained.tables["scores"])
     assert set(scores["task"]) == {"0 vs 2", "0/1/2", "0 vs 3+4", "0/1/2/3/4"}

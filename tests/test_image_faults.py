@@ -1,4 +1,4 @@
-"""Warnings and refusals of `simulate`: alloys, ambient material, field of view, saturation, landmarks, small fields."""
+"""Check warnings and errors of `simulate`: alloys, ambient material, field of view, saturation and landmarks."""
 
 import dataclasses
 import warnings
@@ -18,15 +18,15 @@ from pssf.xray.materials import attenuation_per_mm, resolve_material
 ENERGIES = np.array([30.0, 50.0, 70.0])
 
 
-def box(x_mm=0.0, side_mm=40.0):
+def make_box(x_mm=0.0, side_mm=40.0):
     return trimesh.creation.box((side_mm, side_mm, side_mm)).apply_translation((x_mm, 0, 0))
 
 
-def told(subject, protocol, **how):
-    """Messages of the warnings of a simulation."""
+def simulate_warnings(subject, protocol, **options):
+    """Simulate and return the messages of all image warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        pssf.simulate(subject, protocol, engine="scanline", **how)
+        pssf.simulate(subject, protocol, engine="scanline", **options)
     return [str(one.message) for one in caught if issubclass(one.category, pssf.ImageNotice)]
 
 
@@ -36,7 +36,7 @@ def coarse():
 
 
 @pytest.mark.parametrize(
-    ("name", "meant"),
+    ("name", "suggested"),
     [
         ("Ti6Al4V@4.43", "titanium_alloy"), ("Ti3Al2.5V@4.48", "titanium_alloy"), ("CoCr28Mo6@8.3", "cobalt_chromium"),
         ("Co28Cr6Mo@8.3", "cobalt_chromium"), ("CoCrMo@8.3", "cobalt_chromium"), ("CoCr@8.3", "cobalt_chromium"),
@@ -44,11 +44,11 @@ def coarse():
         ("Ti13Nb13Zr@5", ""), ("CuZn37@8.4", ""), ("AlMg3@2.7", ""), ("Zr2.5Nb@6.5", ""),
     ],
 )  # fmt: skip
-def test_names_of_alloys_by_mass_are_noticed(name, meant):
-    said = describe_alloy_misreading(name, load_tissues())
-    assert said.startswith(f"{name} is read as numbers of atoms")
-    assert "percent by mass, as in Ti=90,Al=6,V=4@4.43" in said
-    assert f"material {meant} (" in said if meant else "material" not in said
+def test_an_alloy_name_by_mass_gives_a_warning(name, suggested):
+    warning = describe_alloy_misreading(name, load_tissues())
+    assert warning.startswith(f"{name} is read as numbers of atoms")
+    assert "percent by mass, as in Ti=90,Al=6,V=4@4.43" in warning
+    assert f"material {suggested} (" in warning if suggested else "material" not in warning
 
 
 @pytest.mark.parametrize(
@@ -58,11 +58,11 @@ def test_names_of_alloys_by_mass_are_noticed(name, meant):
         "C5H8O2@1.18", "Ti86.2Al10.2V3.6@4.43", "Ti=90,Al=6,V=4@4.43", "titanium_alloy", "Gypsum", "Polyethylene@0.94",
     ],
 )  # fmt: skip
-def test_compounds_and_tissues_are_no_alloys(name):
+def test_compounds_and_tissues_give_no_alloy_warning(name):
     assert describe_alloy_misreading(name, load_tissues()) is None
 
 
-def test_percent_by_mass_is_the_alloy_of_the_table():
+def test_percent_by_mass_gives_the_attenuation_of_the_tabulated_alloy():
     written = attenuation_per_mm(resolve_material("Ti=90,Al=6,V=4@4.43", load_tissues()), ENERGIES)
     assert_allclose(
         written, attenuation_per_mm(resolve_material("titanium_alloy", load_tissues()), ENERGIES), rtol=1e-12
@@ -71,7 +71,7 @@ def test_percent_by_mass_is_the_alloy_of_the_table():
 
 
 @given(st.lists(st.floats(0.1, 100.0), min_size=2, max_size=4))
-def test_percents_by_mass_mix_attenuation_by_mass(parts):
+def test_attenuation_is_mixed_by_percent_by_mass(parts):
     percents = [100 * part / sum(parts) for part in parts]
     symbols = ("Ca", "O", "Zr", "H")[: len(parts)]
     name = ",".join(f"{symbol}={percent}" for symbol, percent in zip(symbols, percents, strict=True)) + "@2"
@@ -88,67 +88,67 @@ def test_percents_by_mass_mix_attenuation_by_mass(parts):
         ("Ti=100@", "material"), ("=100@4", "got '=100'"),
     ],
 )  # fmt: skip
-def test_percents_that_are_none_are_refused_in_a_line(name, why):
-    with pytest.raises(pssf.InputError, match=why) as refused:
+def test_invalid_percents_by_mass_give_a_one_line_error(name, why):
+    with pytest.raises(pssf.InputError, match=why) as error:
         resolve_material(name, load_tissues())
-    assert "\n" not in str(refused.value)
+    assert "\n" not in str(error.value)
 
 
 def test_simulate_warns_once_of_an_alloy_read_as_atoms(coarse):
-    scene = pssf.Scene([pssf.Surface(box(), "Ti6Al4V@4.43", "air", "plate")])
-    assert ["titanium_alloy" in one for one in told(scene, coarse)] == [True]
+    scene = pssf.Scene([pssf.Surface(make_box(), "Ti6Al4V@4.43", "air", "plate")])
+    assert ["titanium_alloy" in one for one in simulate_warnings(scene, coarse)] == [True]
 
 
 @pytest.mark.parametrize("ambient", ["water", "trabecular_bone", "H2O@1"])
-def test_an_ambient_material_that_would_attenuate_is_refused(coarse, ambient):
-    scene = pssf.Scene([pssf.Surface(box(), "Ti@4.51", ambient)], ambient=ambient)
+def test_an_attenuating_ambient_material_is_rejected(coarse, ambient):
+    scene = pssf.Scene([pssf.Surface(make_box(), "Ti@4.51", ambient)], ambient=ambient)
     with pytest.raises(pssf.InputError, match=f"ambient must be air or another gas, got '{ambient}'"):
         pssf.simulate(scene, coarse, engine="scanline")
     assert "simulate raises an error" in str(pssf.check(scene))
 
 
 @pytest.mark.parametrize("ambient", ["air", "Carbon Dioxide", "He@0.00018"])
-def test_gases_may_be_around_a_scene(coarse, ambient):
-    scene = pssf.Scene([pssf.Surface(box(), "muscle", ambient)], ambient=ambient)
-    assert told(scene, coarse) == []
+def test_gases_are_allowed_as_ambient_material(coarse, ambient):
+    scene = pssf.Scene([pssf.Surface(make_box(), "muscle", ambient)], ambient=ambient)
+    assert simulate_warnings(scene, coarse) == []
     assert str(pssf.check(scene)) == "no faults"
 
 
 def test_simulate_warns_once_of_a_scene_outside_the_field_of_view(coarse):
-    scene = pssf.Scene([pssf.Surface(box(900.0), "muscle", "air")])
-    (said,) = told(scene, coarse)
-    assert said.startswith("the scene is outside the field of view")
+    scene = pssf.Scene([pssf.Surface(make_box(900.0), "muscle", "air")])
+    (warning,) = simulate_warnings(scene, coarse)
+    assert warning.startswith("the scene is outside the field of view")
 
 
 def test_simulate_warns_of_a_scene_behind_the_collimator(coarse):
-    scene = pssf.Scene([pssf.Surface(box(100.0), "muscle", "air")])
-    assert told(scene, coarse) == []
-    (said,) = told(scene, dataclasses.replace(coarse, field_width_mm=100.0, field_height_mm=240.0))
-    assert said.startswith("the scene is outside the field of view")
+    scene = pssf.Scene([pssf.Surface(make_box(100.0), "muscle", "air")])
+    assert simulate_warnings(scene, coarse) == []
+    (warning,) = simulate_warnings(scene, dataclasses.replace(coarse, field_width_mm=100.0, field_height_mm=240.0))
+    assert warning.startswith("the scene is outside the field of view")
 
 
-def test_simulate_warns_of_saturation_within_the_limb_and_not_along_its_outline(built, coarse):
-    assert told(built, dataclasses.replace(coarse, mas=4.0)) == []
-    (said,) = told(built, dataclasses.replace(coarse, mas=20.0))
-    assert "% of the object's pixels are saturated (65535 DN)" in said
-    assert "mas (now 20)" in said
+def test_simulate_warns_of_saturation_inside_the_limb_only(built, coarse):
+    assert simulate_warnings(built, dataclasses.replace(coarse, mas=4.0)) == []
+    (warning,) = simulate_warnings(built, dataclasses.replace(coarse, mas=20.0))
+    assert "% of the object's pixels are saturated (65535 DN)" in warning
+    assert "mas (now 20)" in warning
 
 
-def test_simulate_warns_of_landmarks_that_the_image_does_not_show(built, coarse):
+def test_simulate_warns_of_landmarks_outside_image_or_field(built, coarse):
     crop = dataclasses.replace(coarse, rows=20, cols=20)
-    (said,) = told(built, crop)
-    assert "landmarks are outside the image (" in said
-    (said,) = told(built, dataclasses.replace(coarse, field_width_mm=60.0, field_height_mm=240.0))
-    assert "landmarks are outside the irradiated field (" in said
-    assert told(built, dataclasses.replace(coarse, field_width_mm=180.0, field_height_mm=240.0)) == []
+    (warning,) = simulate_warnings(built, crop)
+    assert "landmarks are outside the image (" in warning
+    (warning,) = simulate_warnings(built, dataclasses.replace(coarse, field_width_mm=60.0, field_height_mm=240.0))
+    assert "landmarks are outside the irradiated field (" in warning
+    assert simulate_warnings(built, dataclasses.replace(coarse, field_width_mm=180.0, field_height_mm=240.0)) == []
 
 
-def test_a_knee_outside_the_field_of_view_has_one_warning(built, coarse):
-    (said,) = told(built, dataclasses.replace(coarse, rows=16, cols=16, centre_x_mm=150.0))
-    assert said.startswith("the scene is outside")
+def test_a_knee_outside_the_field_of_view_gives_one_warning(built, coarse):
+    (warning,) = simulate_warnings(built, dataclasses.replace(coarse, rows=16, cols=16, centre_x_mm=150.0))
+    assert warning.startswith("the scene is outside")
 
 
-def test_a_warning_names_the_line_of_the_user(coarse):
+def test_an_image_warning_points_to_the_calling_file(coarse):
     with pytest.warns(pssf.ImageNotice) as caught:
-        pssf.simulate(pssf.Scene([pssf.Surface(box(900.0), "muscle", "air")]), coarse, engine="scanline")
+        pssf.simulate(pssf.Scene([pssf.Surface(make_box(900.0), "muscle", "air")]), coarse, engine="scanline")
     assert caught[0].filename == __file__

@@ -1,4 +1,4 @@
-"""KL grades that are derived from an anatomy, and grades that an anatomy contradicts."""
+"""Check Kellgren-Lawrence grades derived from an anatomy and grades that contradict it."""
 
 import dataclasses
 
@@ -13,9 +13,9 @@ from pssf.data.knees.oarsi_table import load_oarsi_thresholds
 from pssf.model.kellgren_lawrence import allowed_grades, derive_grade
 
 
-def with_osteophyte(size_mm, **fields):
-    beak = (Osteophyte(site="medial_tibia", size_mm=size_mm),) if size_mm else ()
-    return Knee(osteophytes=beak, **fields)
+def make_knee(size_mm, **fields):
+    osteophytes = (Osteophyte(site="medial_tibia", size_mm=size_mm),) if size_mm else ()
+    return Knee(osteophytes=osteophytes, **fields)
 
 
 @pytest.mark.parametrize(
@@ -26,15 +26,15 @@ def with_osteophyte(size_mm, **fields):
     ],
 )  # fmt: skip
 def test_a_grade_is_derived_from_osteophytes_and_joint_space(size_mm, jsw_mm, grade):
-    assert derive_grade(with_osteophyte(size_mm, jsw_medial_mm=jsw_mm), load_oarsi_thresholds()) == grade
+    assert derive_grade(make_knee(size_mm, jsw_medial_mm=jsw_mm), load_oarsi_thresholds()) == grade
 
 
 @pytest.mark.parametrize(
     ("size_mm", "jsw_mm", "grade"), [(0.0, 5.0, 2), (0.0, 5.0, 4), (3.0, 5.0, 0), (3.0, 5.0, 1), (2.0, 0.5, 1)]
 )
-def test_a_grade_that_contradicts_the_anatomy_is_refused(size_mm, jsw_mm, grade):
-    with pytest.raises(InputError, match=rf"grade must be .* for this anatomy .*, got {grade}: leave it out"):
-        with_osteophyte(size_mm, jsw_medial_mm=jsw_mm, grade=grade)
+def test_a_grade_that_contradicts_the_anatomy_is_rejected(size_mm, jsw_mm, grade):
+    with pytest.raises(InputError, match=rf"grade must be .* for this anatomy .*, got {grade}: omit grade"):
+        make_knee(size_mm, jsw_medial_mm=jsw_mm, grade=grade)
 
 
 def test_a_sampled_knee_cannot_be_changed_into_another_grade():
@@ -62,19 +62,23 @@ def test_sampled_knees_keep_the_grade_that_they_were_sampled_for(seed, grade, ta
     size_mm=st.floats(0, 8), medial=st.floats(0, 10), lateral=st.floats(0, 10), sex=st.sampled_from(("male", "female"))
 )
 def test_every_anatomy_has_a_grade(size_mm, medial, lateral, sex):
-    knee = with_osteophyte(size_mm if size_mm >= 0.2 else 0.0, jsw_medial_mm=medial, jsw_lateral_mm=lateral, sex=sex)
+    knee = make_knee(size_mm if size_mm >= 0.2 else 0.0, jsw_medial_mm=medial, jsw_lateral_mm=lateral, sex=sex)
     low, high = allowed_grades(knee, load_oarsi_thresholds())
     assert 0 <= low <= derive_grade(knee, load_oarsi_thresholds()) <= high <= 4
 
 
-def test_labels_have_the_grade_of_the_anatomy(small):
-    beak = Osteophyte(site="medial_tibia", size_mm=2.0)
-    for knee, grade in ((Knee(), 0), (Knee(osteophytes=(beak,)), 2), (Knee(osteophytes=(beak,), grade=3), 3)):
+def test_the_truth_has_the_grade_of_the_anatomy(small):
+    osteophyte = Osteophyte(site="medial_tibia", size_mm=2.0)
+    for knee, grade in (
+        (Knee(), 0),
+        (Knee(osteophytes=(osteophyte,)), 2),
+        (Knee(osteophytes=(osteophyte,), grade=3), 3),
+    ):
         truth = pssf.build(knee).truth(small)
         assert (truth.grade, truth.readings["XRKL"]) == (grade, grade)
 
 
-def test_knees_of_a_table_of_ones_own_have_the_grade_that_it_defines(tmp_path):
+def test_knees_of_a_user_table_have_the_grade_that_it_defines(tmp_path):
     own = tmp_path / "my table.toml"
     own.write_text('base = "paper"\n[grade.2]\nosteophyte_count = [0, 0]\njsw_medial_mm = [5.0, 5.0]\n')
     knees = [pssf.sample_knee(grade=2, rng=np.random.default_rng(k), grade_table=str(own)) for k in range(20)]

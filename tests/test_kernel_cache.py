@@ -71,7 +71,7 @@ def hits(function):
 
 @pytest.mark.parametrize("suffix", ["nbi", "nbc"])
 @pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_cache_file_is_compiled_again_and_mended(folder, tmp_path, suffix, damage):
+def test_a_damaged_cache_file_is_compiled_again_and_replaced(folder, tmp_path, suffix, damage):
     assert toy(tmp_path / "toy.py")(2) == 4
     (file,) = folder.rglob(f"*.{suffix}")
     # The index is short: its last bytes are those of the file's name.
@@ -86,7 +86,7 @@ def test_a_damaged_cache_file_is_compiled_again_and_mended(folder, tmp_path, suf
     assert hits(third) == 1
 
 
-def test_code_of_other_types_is_not_run(folder, tmp_path):
+def test_cached_code_for_other_types_is_not_run(folder, tmp_path):
     function = toy(tmp_path / "toy.py")
     assert function(2) == 4
     assert function(2.5) == 5.0
@@ -99,7 +99,7 @@ def test_code_of_other_types_is_not_run(folder, tmp_path):
     assert hits(again) == 1
 
 
-def test_a_cache_that_cannot_be_saved_is_no_error(folder, tmp_path, monkeypatch):
+def test_a_cache_that_cannot_be_saved_raises_no_error(folder, tmp_path, monkeypatch):
     def full(*arguments):
         raise OSError(28, "No space left on device")
 
@@ -120,7 +120,7 @@ def unwritable(monkeypatch, but=None):
     monkeypatch.setattr(kernel_cache._CacheLocator, "ensure_cache_path", refused)
 
 
-def test_where_no_other_folder_can_be_written_code_is_kept_in_a_temporary_one(tmp_path, monkeypatch):
+def test_a_temporary_cache_folder_is_used_if_no_other_is_writable(tmp_path, monkeypatch):
     temporary = tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setattr(kernel_cache.tempfile, "gettempdir", lambda: str(temporary))
@@ -135,7 +135,7 @@ def test_where_no_other_folder_can_be_written_code_is_kept_in_a_temporary_one(tm
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no such modes")
 @pytest.mark.parametrize("kind", ["link", "open"])
-def test_a_temporary_folder_that_others_can_write_to_is_not_used(tmp_path, monkeypatch, kind):
+def test_a_temporary_folder_writable_by_other_users_is_not_used(tmp_path, monkeypatch, kind):
     temporary, other = tmp_path / "temporary", tmp_path / "other"
     temporary.mkdir()
     other.mkdir(mode=0o777)
@@ -154,7 +154,7 @@ def test_a_temporary_folder_that_others_can_write_to_is_not_used(tmp_path, monke
     assert not list(other.iterdir())
 
 
-def test_where_no_folder_at_all_can_be_written_a_kernel_still_compiles(tmp_path, monkeypatch):
+def test_a_kernel_compiles_without_any_writable_cache_folder(tmp_path, monkeypatch):
     unwritable(monkeypatch)
     function = toy(tmp_path / "toy.py")
     assert isinstance(function._cache, NullCache)
@@ -162,7 +162,7 @@ def test_where_no_folder_at_all_can_be_written_a_kernel_still_compiles(tmp_path,
     assert function.stats.cache_path is None
 
 
-def test_every_kernel_of_the_package_has_this_cache():
+def test_every_kernel_of_the_package_uses_the_kernel_cache():
     done = subprocess.run([sys.executable, "-W", "ignore", "-c", KERNELS], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     count, *kinds = done.stdout.split()
@@ -170,12 +170,12 @@ def test_every_kernel_of_the_package_has_this_cache():
     assert int(count) > 30
 
 
-def test_a_function_that_is_in_no_file_has_no_cache():
+def test_a_function_without_a_source_file_has_no_cache():
     exec(compile("def nowhere(x):\n    return x", "<nowhere>", "exec"), made := {})
     assert isinstance(make_kernel_cache(made["nowhere"]), NullCache)
 
 
-def test_a_simulation_goes_on_from_damaged_files_of_all_kernels(tmp_path):
+def test_a_simulation_succeeds_with_damaged_cache_files(tmp_path):
     """As a user meets it: the command line, with every index empty, then with all code cut."""
     settings = ["rows=64", "cols=64", "pixel_mm=4.8", "scatter=none", "texture=none", "noise=none"]
     command = [sys.executable, "-m", "pssf", "simulate", "--engine", "scanline", "--formats", "tif", "--workers", "1"]
@@ -193,3 +193,56 @@ def test_a_simulation_goes_on_from_damaged_files_of_all_kernels(tmp_path):
         (made,) = (tmp_path / name).iterdir()
         pixels.append(made.read_bytes())
     assert pixels[0] == pixels[1] == pixels[2]
+
+
+REPAIR = """
+import numpy as np
+from pssf.geometry.mesh_repair import repair_mesh
+corners = np.array([[0.0, 0, 0], [9, 0, 0], [0, 9, 0], [0, 0, 9]])
+faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+def repair():
+    repair_mesh(corners, faces, "tetrahedron")
+"""
+WORKER = """
+import multiprocessing, sys
+sys.path.insert(0, {folder!r})
+if __name__ == "__main__":
+    from repairing import repair
+    worker = multiprocessing.get_context("spawn").Process(target=repair)
+    worker.start()
+    worker.join()
+    assert worker.exitcode == 0
+"""
+
+
+def capture_standard_error(code, folder):
+    """Run code in a process whose cache of compiled code is a folder, and return its standard error."""
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        env=os.environ | {"NUMBA_CACHE_DIR": str(folder)},
+        cwd=Path(__file__).parents[1],
+        stderr=subprocess.PIPE,
+        text=True,
+        check=True,
+    ).stderr
+
+
+def test_the_first_compilation_after_an_installation_logs_one_line(tmp_path):
+    cold, warm = (capture_standard_error(f"{REPAIR}\nrepair()\nrepair()", tmp_path) for _ in range(2))
+    assert cold.startswith("pssf: compiling")
+    assert "once after an installation" in cold
+    assert cold.count("\n") == 1
+    assert warm == ""
+
+
+def test_the_compilation_message_can_be_switched_off_by_its_logger(tmp_path):
+    silent = "import logging\nlogging.getLogger('pssf').setLevel(logging.ERROR)"
+    assert capture_standard_error(f"{silent}\n{REPAIR}\nrepair()", tmp_path) == ""
+
+
+def test_workers_log_no_compilation_message(tmp_path):
+    (tmp_path / "repairing.py").write_text(REPAIR)
+    (tmp_path / "main.py").write_text(WORKER.format(folder=str(tmp_path)))
+    run = f"runpy.run_path({str(tmp_path / 'main.py')!r}, run_name='__main__')"
+    code = f"import runpy\nif __name__ == '__main__':\n    {run}"
+    assert capture_standard_error(code, tmp_path / "cache") == ""

@@ -1,3 +1,5 @@
+"""Contour landmarks of femur and tibia, and their location on projected contours."""
+
 import dataclasses
 
 import numpy as np
@@ -18,78 +20,80 @@ from pssf.geometry.view import (
 )
 
 REFERENCE = pssf.load_protocol("reference")
-ON_FLOOR = ("tibia_medial_1", "tibia_medial_2")
-# So far away that nothing is magnified.
+FLOOR_LANDMARKS = ("tibia_medial_1", "tibia_medial_2")
+# The source is so far away that magnification is 1.
 FAR = View(source_mm=(0.0, -1e7, 0.0), centre_mm=(0.0, 200.0, 0.0), rows=401, cols=401, pixel_mm=0.5)
 
 
 @pytest.fixture(scope="module")
-def spots(built):
+def landmarks(built):
     return built.truth(REFERENCE).landmarks_px
 
 
-def surface(built, name):
+def find_surface(built, name):
     return next(s.mesh_arrays for s in built.scene.surfaces if s.name == name)
 
 
-def outline_row(mesh, view, col, lowest):
-    """Row of a projected mesh's outline at a column that need not be whole."""
-    seen = project_points(mesh.vertices, view)
+def compute_outline_row(mesh, view, col, lowest):
+    """Compute the row of a projected mesh's outline at a column, which may be fractional."""
+    projected = project_points(mesh.vertices, view)
     return compute_outline_rows(
-        np.column_stack((seen[:, 0], seen[:, 1] - col + 1e4)), find_edges(mesh.faces), 10_000, 1, lowest
+        np.column_stack((projected[:, 0], projected[:, 1] - col + 1e4)), find_edges(mesh.faces), 10_000, 1, lowest
     )[0]
 
 
-def test_every_landmark_of_the_annotations_is_a_label(spots):
+def test_every_annotated_landmark_is_a_label(landmarks):
     assert load_landmark_reference().names == CONTOUR_LANDMARKS
-    assert set(CONTOUR_LANDMARKS) <= set(spots)
-    assert spots["notch"] == spots["notch_top"]
+    assert set(CONTOUR_LANDMARKS) <= set(landmarks)
+    assert landmarks["notch"] == landmarks["notch_top"]
 
 
 @pytest.mark.parametrize("protocol", ["reference", "caudal_beam"])
-def test_landmarks_lie_on_the_projected_contours(built, protocol):
+def test_landmarks_are_on_the_projected_contours(built, protocol):
     technique = pssf.load_protocol(protocol)
     for name, (row, col) in built.truth(technique).landmarks_px.items():
-        if name in CONTOUR_LANDMARKS and name not in ON_FLOOR:
+        if name in CONTOUR_LANDMARKS and name not in FLOOR_LANDMARKS:
             bone, lowest = ("femur", 1.0) if name in FEMORAL_LANDMARKS else ("tibia", -1.0)
-            assert_allclose(row, outline_row(surface(built, bone), resolve_view(technique), col, lowest), atol=1e-6)
+            assert_allclose(
+                row, compute_outline_row(find_surface(built, bone), resolve_view(technique), col, lowest), atol=1e-6
+            )
 
 
-def test_landmarks_follow_each_other_as_along_a_contour(spots, knee):
+def test_landmarks_are_ordered_along_the_contour(landmarks, knee):
     medial = 1 if knee.side == "right" else -1
     for names in (CONTOUR_LANDMARKS[:9], FEMORAL_LANDMARKS):
-        assert (np.diff([spots[name][1] * medial for name in names]) > 0).all()
+        assert (np.diff([landmarks[name][1] * medial for name in names]) > 0).all()
 
 
-def test_landmarks_of_a_left_knee_mirror_those_of_a_right_one(built, knee):
-    femur, tibia = surface(built, "femur"), surface(built, "tibia")
-    here = find_contour_landmarks(femur, tibia, resolve_view(REFERENCE), 1)
-    turned = [Mesh(mesh.vertices * [-1, 1, 1], mesh.faces[:, ::-1]) for mesh in (femur, tibia)]
-    there = find_contour_landmarks(*turned, resolve_view(REFERENCE), -1)
-    for name, (row, col) in here.items():
-        assert_allclose(there[name], (row, REFERENCE.cols - 1 - col), atol=1e-9)
+def test_landmarks_of_a_left_knee_mirror_those_of_a_right_knee(built, knee):
+    femur, tibia = find_surface(built, "femur"), find_surface(built, "tibia")
+    right = find_contour_landmarks(femur, tibia, resolve_view(REFERENCE), 1)
+    mirrored = [Mesh(mesh.vertices * [-1, 1, 1], mesh.faces[:, ::-1]) for mesh in (femur, tibia)]
+    left = find_contour_landmarks(*mirrored, resolve_view(REFERENCE), -1)
+    for name, (row, col) in right.items():
+        assert_allclose(left[name], (row, REFERENCE.cols - 1 - col), atol=1e-9)
 
 
-def test_size_and_number_of_pixels_do_not_move_landmarks(built, spots):
+def test_landmarks_do_not_depend_on_pixel_size_and_matrix(built, landmarks):
     coarse = dataclasses.replace(REFERENCE, rows=331, cols=501, pixel_mm=0.47)
     for name, (row, col) in built.truth(coarse).landmarks_px.items():
         if name in CONTOUR_LANDMARKS:
-            fine = (np.array(spots[name]) - (REFERENCE.rows - 1) / 2) * REFERENCE.pixel_mm
+            fine = (np.array(landmarks[name]) - (REFERENCE.rows - 1) / 2) * REFERENCE.pixel_mm
             assert_allclose(((row - 165) * 0.47, (col - 250) * 0.47), fine, atol=1e-9)
 
 
-def test_an_osteophyte_belongs_to_the_contour(spots, knee):
+def test_an_osteophyte_moves_the_edge_landmark_beyond_the_plateau(landmarks, knee):
     beak = next(one for one in knee.osteophytes if one.site == "medial_tibia")
     mm = REFERENCE.pixel_mm / magnification(resolve_view(REFERENCE))
-    beyond = (spots["tibia_medial_edge"][1] - spots["medial_plateau_edge"][1]) * mm
+    beyond = (landmarks["tibia_medial_edge"][1] - landmarks["medial_plateau_edge"][1]) * mm
     assert 0.4 * beak.size_mm < beyond < 1.1 * beak.size_mm
-    bare = (spots["lateral_plateau_edge"][1] - spots["tibia_lateral_edge"][1]) * mm
-    # People's rims are rounder than a line at 45 degrees is steep: it touches some millimetres inwards.
+    bare = (landmarks["lateral_plateau_edge"][1] - landmarks["tibia_lateral_edge"][1]) * mm
+    # Without an osteophyte the rim is round, so the tangent touches it a few millimetres inside the plateau edge.
     assert -5.0 < bare < 0.0
 
 
-def dished(rim_mm, tilt=0.0):
-    """A plateau of 76 mm with two spines, dished from front to back, and a slab above it with a notch."""
+def build_dished_joint(rim_mm, tilt=0.0):
+    """Build a plateau of 76 mm, concave from front to back, with two spines, below a slab with a notch."""
     x, y = np.linspace(-38, 38, 305), np.linspace(-24, 24, 97)
     gx, gy = np.meshgrid(x, y, indexing="ij")
     spines = 9 * np.exp(-(((np.abs(gx) - 8) / 2.5) ** 2) - (gy / 8) ** 2)
@@ -99,48 +103,48 @@ def dished(rim_mm, tilt=0.0):
     return Mesh(slab.vertices * [1, 1, -1] + [0, 0, 5], slab.faces[:, ::-1]), tibia
 
 
-def test_points_beside_the_spines_lie_on_the_floor_of_the_medial_dish_and_on_the_lateral_contour():
+def test_points_beside_the_spines_are_on_the_floor_or_the_contour():
     for rim in (0.0, 2.0, 5.0):
-        spots = find_contour_landmarks(*dished(rim), FAR, 1)
-        for name in ON_FLOOR:
-            assert_allclose((200 - spots[name][0]) * 0.5, 0.0, atol=0.15)
-        # Laterally they lie on the contour.
+        landmarks = find_contour_landmarks(*build_dished_joint(rim), FAR, 1)
+        for name in FLOOR_LANDMARKS:
+            assert_allclose((200 - landmarks[name][0]) * 0.5, 0.0, atol=0.15)
+        # The lateral points are on the contour.
         for name in ("tibia_lateral_1", "tibia_lateral_2"):
-            assert_allclose((200 - spots[name][0]) * 0.5, rim, atol=0.15)
-        assert_allclose((200 - spots["tibia_medial_edge"][0]) * 0.5, rim, atol=1e-3)
+            assert_allclose((200 - landmarks[name][0]) * 0.5, rim, atol=0.15)
+        assert_allclose((200 - landmarks["tibia_medial_edge"][0]) * 0.5, rim, atol=1e-3)
 
 
-def test_where_a_plateau_falls_backwards_its_floor_is_a_quarter_of_its_depth_from_the_back():
-    spots = find_contour_landmarks(*dished(0.0, tilt=-0.05), FAR, 1)
-    assert_allclose((200 - spots["tibia_medial_1"][0]) * 0.5, -0.6, atol=0.05)
+def test_floor_of_a_sloping_plateau_is_a_quarter_of_its_depth_from_behind():
+    landmarks = find_contour_landmarks(*build_dished_joint(0.0, tilt=-0.05), FAR, 1)
+    assert_allclose((200 - landmarks["tibia_medial_1"][0]) * 0.5, -0.6, atol=0.05)
 
 
-def test_points_lie_at_their_shares_of_the_way_to_the_spine():
-    spots = find_contour_landmarks(*dished(2.0), FAR, 1)
-    x = {name: (col - 200) * 0.5 for name, (_, col) in spots.items()}
+def test_plateau_points_are_at_fixed_fractions_of_the_way_to_the_spine():
+    landmarks = find_contour_landmarks(*build_dished_joint(2.0), FAR, 1)
+    x = {name: (col - 200) * 0.5 for name, (_, col) in landmarks.items()}
     assert_allclose((x["tibia_medial_edge"], x["medial_spine"]), (38.0, 8.0), atol=0.1)
     assert_allclose(x["tibia_medial_1"], 38 - 0.392 * 30, atol=0.1)
     assert_allclose(x["tibia_lateral_2"], -38 + 0.709 * 30, atol=0.1)
 
 
-def test_the_notch_is_taken_at_its_side_s_share_of_the_way_up():
-    femur, tibia = dished(2.0)
-    spots = find_contour_landmarks(femur, tibia, FAR, 1)
+def test_notch_landmarks_are_at_a_fixed_fraction_of_the_notch_height():
+    femur, tibia = build_dished_joint(2.0)
+    landmarks = find_contour_landmarks(femur, tibia, FAR, 1)
     low = compute_outline_rows(project_points(femur.vertices, FAR), find_edges(femur.faces), 130, 70, 1.0).max()
-    top = spots["notch_top"][0]
-    for side, share in (("lateral", 0.355), ("medial", 0.404)):
-        assert_allclose(spots[f"femur_{side}_notch"][0], low + share * (top - low), atol=0.3)
-    half_way = (spots["femur_lateral_edge"][1] + spots["femur_lateral_notch"][1]) / 2
-    assert_allclose(spots["femur_lateral_condyle"][1], half_way, atol=0.06)
+    top = landmarks["notch_top"][0]
+    for side, fraction in (("lateral", 0.355), ("medial", 0.404)):
+        assert_allclose(landmarks[f"femur_{side}_notch"][0], low + fraction * (top - low), atol=0.3)
+    half_way = (landmarks["femur_lateral_edge"][1] + landmarks["femur_lateral_notch"][1]) / 2
+    assert_allclose(landmarks["femur_lateral_condyle"][1], half_way, atol=0.06)
 
 
-def test_edges_are_where_lines_at_30_degrees_touch_the_bones(built, spots, knee):
+def test_edge_landmarks_are_where_lines_at_30_degrees_touch_the_bones(built, landmarks, knee):
     medial = 1 if knee.side == "right" else -1
     for bone, up in (("tibia", -1), ("femur", 1)):
-        # By the leg's own axes, however it leans on the film.
+        # The lines are defined along the axes of the leg, not of the image.
         view, lean = resolve_view(REFERENCE), built.assembly.pose.lean_deg * medial
-        rows, cols = rotate_px(project_points(surface(built, bone).vertices, view), view, -lean).T
+        rows, cols = rotate_px(project_points(find_surface(built, bone).vertices, view), view, -lean).T
         for side, out in (("medial", medial), ("lateral", -medial)):
-            ((row, col),) = rotate_px(np.array([spots[f"{bone}_{side}_edge"]]), view, -lean)
+            ((row, col),) = rotate_px(np.array([landmarks[f"{bone}_{side}_edge"]]), view, -lean)
             steep, flat = up * np.cos(np.deg2rad(30)), out * np.sin(np.deg2rad(30))
             assert_allclose(steep * row + flat * col, (steep * rows + flat * cols).max(), atol=1e-6)

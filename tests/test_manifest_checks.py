@@ -1,8 +1,8 @@
-"""What a manifest from elsewhere may hold: `study.run` and `study.measure` refuse what the command line refuses."""
+"""Manifest checks: `study.run` and `study.measure` raise the same errors as the command line."""
 
 import dataclasses
 
-import drawn
+import block_knee_cohort
 import numpy as np
 import pandas as pd
 import pytest
@@ -40,8 +40,8 @@ FAULTS = [
 ]
 
 
-def manifest_with(column: str, value: object) -> pd.DataFrame:
-    table = drawn.text_subjects().reset_index(drop=True)
+def make_manifest_with(column: str, value: object) -> pd.DataFrame:
+    table = block_knee_cohort.select_text_subjects().reset_index(drop=True)
     cells = table[column].astype(object)
     cells[3] = value
     return table.assign(**{column: cells})
@@ -49,24 +49,32 @@ def manifest_with(column: str, value: object) -> pd.DataFrame:
 
 @pytest.mark.parametrize(("column", "value", "why"), FAULTS)
 @pytest.mark.parametrize("entry", [study.run, study.measure])
-def test_every_entry_refuses_a_value_that_cannot_be_meant(entry, column, value, why, tmp_path):
-    with pytest.raises(InputError) as refused:
-        entry(manifest_with(column, value), drawn.cohort().load, [drawn.TEMPLATE], drawn.LIGHT, tmp_path)
-    assert why in str(refused.value)
+def test_run_and_measure_reject_an_invalid_value(entry, column, value, why, tmp_path):
+    with pytest.raises(InputError) as raised:
+        entry(
+            make_manifest_with(column, value),
+            block_knee_cohort.make_cohort().load,
+            [block_knee_cohort.TEMPLATE],
+            block_knee_cohort.LIGHT,
+            tmp_path,
+        )
+    assert why in str(raised.value)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("column", ["file", "sha256"])
 @pytest.mark.parametrize("entry", [study.run, study.measure])
-def test_every_entry_refuses_a_file_in_two_rows(entry, column, tmp_path):
-    table = drawn.text_subjects().reset_index(drop=True)
+def test_run_and_measure_reject_a_file_in_two_rows(entry, column, tmp_path):
+    table = block_knee_cohort.select_text_subjects().reset_index(drop=True)
     both = pd.concat([table, table.head(1).assign(radiograph="again")], ignore_index=True)
     other = {"file": "sha256", "sha256": "file"}[column]
     both.loc[len(table), other] = "another"
     with pytest.raises(
-        InputError, match=f"{table['radiograph'][0]} and again must have files of their own, got the same {column}"
+        InputError, match=f"{table['radiograph'][0]} and again must have different files, got the same {column}"
     ):
-        entry(both, drawn.cohort().load, [drawn.TEMPLATE], drawn.LIGHT, tmp_path)
+        entry(
+            both, block_knee_cohort.make_cohort().load, [block_knee_cohort.TEMPLATE], block_knee_cohort.LIGHT, tmp_path
+        )
 
 
 @pytest.mark.parametrize("entry", [study.run, study.measure])
@@ -81,27 +89,42 @@ def test_every_entry_refuses_a_file_in_two_rows(entry, column, tmp_path):
         ),
     ],
 )
-def test_every_entry_refuses_what_is_no_table_of_radiographs(entry, change, why, tmp_path):
+def test_run_and_measure_reject_an_invalid_table_of_radiographs(entry, change, why, tmp_path):
     with pytest.raises(InputError, match=why):
-        entry(change(drawn.text_subjects()), drawn.cohort().load, [drawn.TEMPLATE], drawn.LIGHT, tmp_path)
+        entry(
+            change(block_knee_cohort.select_text_subjects()),
+            block_knee_cohort.make_cohort().load,
+            [block_knee_cohort.TEMPLATE],
+            block_knee_cohort.LIGHT,
+            tmp_path,
+        )
 
 
-def test_repeats_are_checked_as_the_manifest_is(tmp_path):
-    table = drawn.text_subjects()
-    repeats = table.head(2).assign(kind="noise", turn=1, radiograph=["a", "b"], file=["a", "b"], sha256=["a", "b"])
+def test_repeats_are_checked_like_the_manifest(tmp_path):
+    table = block_knee_cohort.select_text_subjects()
+    repeats = table.head(2).assign(
+        kind="noise", repeat_index=1, radiograph=["a", "b"], file=["a", "b"], sha256=["a", "b"]
+    )
     repeats["side"] = ["up", "left"]
     with pytest.raises(InputError, match=r"manifest of repeats: radiograph a: side must be one of .*, got 'up'"):
-        study.measure(table, drawn.cohort().load, [drawn.TEMPLATE], drawn.LIGHT, tmp_path, retest=repeats)
+        study.measure(
+            table,
+            block_knee_cohort.make_cohort().load,
+            [block_knee_cohort.TEMPLATE],
+            block_knee_cohort.LIGHT,
+            tmp_path,
+            retest=repeats,
+        )
 
 
 @given(grades=st.lists(st.sampled_from([0, 1, 2, 3, 4]), min_size=1, max_size=9), kind=st.sampled_from([int, float]))
-def test_grades_that_a_data_frame_made_floats_of_are_those_grades(grades, kind):
+def test_whole_float_grades_are_converted_to_integers(grades, kind):
     checked = require_manifest(pd.DataFrame({"grade": np.array(grades, kind)}))
     assert checked["grade"].tolist() == grades
     assert checked["grade"].dtype == np.int64
 
 
-def test_films_are_films_and_each_once():
+def test_film_sets_hold_each_film_once_and_only_films():
     film = Film(file="a.png", grade=0, subject="1", side=None, pixel_mm=None, sha256="0")
     given = {"load": print, "load_cohort": print, "protocol": "reference"}
     with pytest.raises(InputError, match=r"each file once, got 'a\.png' twice"):

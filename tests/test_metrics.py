@@ -1,4 +1,4 @@
-"""How good predictions are."""
+"""Scores of predictions: AUC, balanced accuracy, macro F1, ROC curves."""
 
 import numpy as np
 import pytest
@@ -10,8 +10,8 @@ from sklearn.metrics import balanced_accuracy_score, f1_score, roc_auc_score
 from pssf.study.statistics.scores import metrics
 
 
-def test_metrics_of_four_knees_are_those_worked_out_by_hand():
-    # Positives at 0.9 and 0.3, negatives at 0.2 and 0.6: three of four pairs are in order. One of each class is called.
+def test_metrics_of_four_knees_equal_hand_calculated_values():
+    # Positives are at 0.9 and 0.3, negatives at 0.2 and 0.6: 3 of 4 pairs are in order, and 1 per class is correct.
     truth, p = np.array([1, 1, 0, 0]), np.array([0.9, 0.3, 0.2, 0.6])
     found = metrics.score_predictions(truth, np.column_stack([1 - p, p]))
     assert found == {"auc": 0.75, "balanced_accuracy": 0.5, "macro_f1": 0.5}
@@ -25,26 +25,26 @@ def test_metrics_equal_those_of_scikit_learn(classes, rows, seed):
     truth = rng.permutation(np.arange(rows) % classes)
     probability = rng.dirichlet(np.ones(classes), rows).round(1) + 1e-3
     probability /= probability.sum(axis=1, keepdims=True)
-    called = probability.argmax(axis=1)
+    predicted = probability.argmax(axis=1)
     theirs = {
         "auc": roc_auc_score(truth, probability[:, 1] if classes == 2 else probability, multi_class="ovr"),
-        "balanced_accuracy": balanced_accuracy_score(truth, called),
-        "macro_f1": f1_score(truth, called, average="macro"),
+        "balanced_accuracy": balanced_accuracy_score(truth, predicted),
+        "macro_f1": f1_score(truth, predicted, average="macro"),
     }
     assert metrics.score_predictions(truth, probability) == pytest.approx(theirs, abs=1e-12)
 
 
 @given(seed=st.integers(0, 10**6), splits=st.integers(1, 5), levels=st.sampled_from([3, 1000]))
 @settings(max_examples=30)
-def test_the_area_under_the_mean_roc_curve_is_the_mean_auc_of_the_splits(seed, splits, levels):
+def test_area_under_the_mean_roc_curve_is_the_mean_auc_of_the_splits(seed, splits, levels):
     rng = np.random.default_rng(seed)
     split = np.repeat(np.arange(splits), 20)
     truth = np.tile(np.arange(20) % 2, splits)
-    # A split's own offset, which a curve of all splits pooled would mix.
+    # Each split has its own offset, which a pooled ROC curve would mix.
     value = np.round(rng.random(len(truth)) + 0.5 * truth, int(np.log10(levels))) + 3.0 * split
     false, true = metrics.mean_roc(truth, value, split)
     aucs = [metrics.auc(truth[split == one] == 1, value[split == one]) for one in range(splits)]
-    # Each jump of a curve is spread over a step of its 400.
+    # Each step of a curve is interpolated on a grid of 400 points.
     assert abs(np.trapezoid(true, false) - np.mean(aucs)) < 1 / 400
     assert np.all(np.diff(true) >= 0)
     assert (false[0], true[0], false[-1], true[-1]) == (0, 0, 1, 1)
@@ -55,5 +55,5 @@ def test_splits_without_both_classes_have_no_roc_curve():
     assert len(false) == len(true) == 0
 
 
-def test_a_class_that_is_not_tested_gives_no_measure():
+def test_metrics_are_nan_without_test_subjects_of_a_class():
     assert all(np.isnan(value) for value in metrics.score_predictions(np.zeros(3, int), np.full((3, 2), 0.5)).values())

@@ -1,14 +1,14 @@
-"""Finding the joint, and features of a region."""
+"""Regions of interest, bone masks and features of a region."""
 
 from functools import partial
 
 import numpy as np
 import pytest
-from conftest import change
+from block_phantom import PIXEL_MM, TEMPLATE, make_phantom
+from conftest import append_byte
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from phantoms import PIXEL_MM, TEMPLATE, phantom
 from scipy.ndimage import gaussian_filter
 
 from pssf.core.checks import InputError
@@ -31,14 +31,14 @@ from pssf.radiomics.radiomics_tables import radiomics_tables
 TAGS, TABLES = load_ibsi_tags(), radiomics_tables()
 
 
-def texture(size: int, seed: int, smooth: float = 1.5):
-    """(size, size) uint16 with every value far below 65535 / 3."""
+def make_texture(size: int, seed: int, smooth: float = 1.5):
+    """Make a random texture (size, size) of uint16 with values below 65535 / 3."""
     field = gaussian_filter(np.random.default_rng(seed).standard_normal((size, size)), smooth)
     return np.rint(8000 + 2000 * field / field.std()).clip(1, 20000).astype(np.uint16)
 
 
 @given(row=st.floats(8, 24), col=st.floats(8, 24))
-def test_a_region_holds_its_centre_and_never_wraps(row, col):
+def test_a_region_is_centred_and_never_wraps_around(row, col):
     image = np.arange(32 * 32).reshape(32, 32)
     region = cut_region(image, row, col, 16)
     assert region.shape == (16, 16)
@@ -47,11 +47,11 @@ def test_a_region_holds_its_centre_and_never_wraps(row, col):
         cut_region(image, 7.4, col, 16)
 
 
-def test_the_bone_mask_is_the_bone():
-    image = phantom(160, 160)
+def test_the_bone_mask_covers_bone_and_excludes_joint_space():
+    image = make_phantom(160, 160)
     mask = segment_bone(image[96:224, 96:224], PIXEL_MM)
     rows, cols = np.mgrid[-64:64, -64:64] * PIXEL_MM
-    # Deep in femur and tibia; in the joint space; medial of the bone, where the limb thins.
+    # Regions: deep in femur and tibia; in the joint space; medial of the bone, where the limb is thinner.
     assert mask[(np.abs(rows) > 6) & (np.abs(cols + 2) < 10)].mean() > 0.99
     assert mask[(np.abs(rows) < 1.5) & (np.abs(cols) < 12)].mean() < 0.01
     assert mask[:, cols[0] > 20].mean() < 0.01
@@ -62,15 +62,15 @@ def test_a_region_of_one_grey_value_has_features():
     assert found["firstorder_linear_Mean"] == 500
 
 
-def test_a_mask_of_ones_alone_is_refused_by_pyradiomics_and_the_border_avoids_it():
+def test_a_padded_mask_of_ones_gives_the_features_of_pyradiomics():
     pytest.importorskip("radiomics", reason="no pyradiomics")
     import SimpleITK as sitk  # noqa: N813
     from radiomics.featureextractor import RadiomicsFeatureExtractor
 
-    region = texture(48, 1)
+    region = make_texture(48, 1)
     extractor = RadiomicsFeatureExtractor(force2D=True, force2Ddimension=0, binCount=64, additionalInfo=False)
 
-    def slices(pad: int):
+    def make_volumes(pad: int):
         image = sitk.GetImageFromArray(np.pad(region, pad, mode="edge")[None])
         mask = sitk.GetImageFromArray(np.pad(np.ones(region.shape, np.uint8), pad)[None])
         for volume in (image, mask):
@@ -78,8 +78,10 @@ def test_a_mask_of_ones_alone_is_refused_by_pyradiomics_and_the_border_avoids_it
         return image, mask
 
     with pytest.raises(ValueError, match="No labels found"):
-        extractor.execute(*slices(0))
-    theirs = {name.removeprefix("original_"): float(value) for name, value in extractor.execute(*slices(1)).items()}
+        extractor.execute(*make_volumes(0))
+    theirs = {
+        name.removeprefix("original_"): float(value) for name, value in extractor.execute(*make_volumes(1)).items()
+    }
     ours = extract_features(region, 0.15, TAGS)
     compared = 0
     for name, value in ours.items():
@@ -91,8 +93,8 @@ def test_a_mask_of_ones_alone_is_refused_by_pyradiomics_and_the_border_avoids_it
 
 @settings(max_examples=8)
 @given(gain=st.integers(1, 3), offset=st.integers(0, 5000), seed=st.integers(0, 100))
-def test_gain_and_offset_leave_texture_and_z_scored_features_alone(gain, offset, seed):
-    region = texture(40, seed)
+def test_gain_and_offset_do_not_change_texture_and_z_scored_features(gain, offset, seed):
+    region = make_texture(40, seed)
     plain, changed = (
         extract_features(region, 0.15, TAGS),
         extract_features((gain * region + offset).astype(np.uint16), 0.15, TAGS),
@@ -103,23 +105,23 @@ def test_gain_and_offset_leave_texture_and_z_scored_features_alone(gain, offset,
     assert_allclose(changed["firstorder_linear_Mean"], gain * plain["firstorder_linear_Mean"] + offset)
 
 
-def test_grey_values_that_are_no_integers_are_refused():
-    with pytest.raises(InputError, match="integers"):
+def test_grey_values_that_are_not_integers_raise_an_error():
+    with pytest.raises(InputError, match="integer type"):
         extract_features(np.ones((16, 16)), 0.15, TAGS)
 
 
-def test_pyradiomics_stays_silent(capfd):
-    extract_features(texture(32, 0), 0.15, TAGS)
+def test_pyradiomics_prints_nothing(capfd):
+    extract_features(make_texture(32, 0), 0.15, TAGS)
     assert capfd.readouterr() == ("", "")
 
 
 def load_phantom(file: str):
-    """`row,col,seed` -> a noisy phantom; a function of this module, so that it can be sent to a process."""
+    """Make a noisy phantom from `row,col,seed`; a module function, so that it can be pickled."""
     row, col, seed = map(int, file.split(","))
-    return phantom(row, col, noise=1.0, seed=seed)
+    return make_phantom(row, col, noise=1.0, seed=seed)
 
 
-def jobs(count: int) -> list[MeasurementJob]:
+def make_jobs(count: int) -> list[MeasurementJob]:
     files = [f"{150 + 3 * i},{160 + 2 * i},{i}" for i in range(count)]
     return [
         MeasurementJob(radiograph=f"r{i}", file=f, sha256=f"sha{i}", side="right", pixel_mm=0.5)
@@ -128,20 +130,20 @@ def jobs(count: int) -> list[MeasurementJob]:
 
 
 def test_features_are_the_same_for_one_worker_and_two():
-    extract_of = partial(
+    measure = partial(
         measure_radiographs,
-        jobs(4),
+        make_jobs(4),
         load_pixels=load_phantom,
         templates=[TEMPLATE],
         tables=TABLES,
         settings=ExtractionSettings(region_px=96),
     )
-    (one, _), (two, _) = extract_of(), extract_of(execution=Execution(workers=2))
+    (one, _), (two, _) = measure(), measure(execution=Execution(workers=2))
     assert [record["radiograph"] for record in two] == ["r0", "r1", "r2", "r3"]
     assert one == two
 
 
-def test_what_is_measured_already_is_kept_until_its_settings_change():
+def test_measured_records_are_reused_until_the_settings_change():
     loaded: list[str] = []
 
     def load(file: str):
@@ -150,7 +152,7 @@ def test_what_is_measured_already_is_kept_until_its_settings_change():
 
     saved: list[list[dict]] = []
     first, _ = measure_radiographs(
-        jobs(3)[:2],
+        make_jobs(3)[:2],
         load_pixels=load,
         templates=[TEMPLATE],
         tables=TABLES,
@@ -161,18 +163,18 @@ def test_what_is_measured_already_is_kept_until_its_settings_change():
     known = {record["sha256"]: record for record in first}
     loaded.clear()
     again, _ = measure_radiographs(
-        jobs(3),
+        make_jobs(3),
         load_pixels=load,
         templates=[TEMPLATE],
         tables=TABLES,
         settings=ExtractionSettings(region_px=96),
         known_records=known,
     )
-    assert loaded == [jobs(3)[2].file]
+    assert loaded == [make_jobs(3)[2].file]
     assert again[:2] == first
     loaded.clear()
     measure_radiographs(
-        jobs(2),
+        make_jobs(2),
         load_pixels=load,
         templates=[TEMPLATE],
         tables=TABLES,
@@ -183,18 +185,18 @@ def test_what_is_measured_already_is_kept_until_its_settings_change():
 
 
 @pytest.mark.parametrize("name", ["row_px", "status", "glcm_Contrast"])
-def test_a_record_in_which_something_was_changed_is_measured_again(name):
-    extract_of = partial(
+def test_a_modified_record_is_measured_again(name):
+    measure = partial(
         measure_radiographs,
-        jobs(2),
+        make_jobs(2),
         load_pixels=load_phantom,
         templates=[TEMPLATE],
         tables=TABLES,
         settings=ExtractionSettings(region_px=96),
     )
-    first, _ = extract_of()
+    first, _ = measure()
     changed = {**first[0], name: "low score" if name == "status" else np.nextafter(first[0][name], np.inf)}
-    again, _ = extract_of(known_records={"sha0": changed, "sha1": first[1]})
+    again, _ = measure(known_records={"sha0": changed, "sha1": first[1]})
     assert again == first
 
 
@@ -215,14 +217,14 @@ def test_the_key_of_the_settings_changes_with_the_template():
 )
 def test_the_key_of_the_settings_changes_with_the_code(copied_code, name):
     before = hash_settings([TEMPLATE], ExtractionSettings())
-    change(copied_code / name)
+    append_byte(copied_code / name)
     assert hash_settings([TEMPLATE], ExtractionSettings()) != before
 
 
-def test_a_worker_with_other_code_measures_nothing():
+def test_a_worker_with_other_code_raises_an_error():
     with pytest.raises(InputError, match=r"code of pssf on .* must be .*, got other code \(radiomics\)"):
         measure_radiograph(
-            jobs(1)[0],
+            make_jobs(1)[0],
             load_pixels=load_phantom,
             templates=[TEMPLATE],
             tables=TABLES,
@@ -231,9 +233,9 @@ def test_a_worker_with_other_code_measures_nothing():
         )
 
 
-def test_a_refused_match_keeps_its_place_and_has_no_features():
+def test_a_rejected_match_keeps_its_location_and_has_no_features():
     (record,), _ = measure_radiographs(
-        jobs(1),
+        make_jobs(1),
         load_pixels=load_phantom,
         templates=[TEMPLATE],
         tables=TABLES,
@@ -244,7 +246,7 @@ def test_a_refused_match_keeps_its_place_and_has_no_features():
     assert not any(name.startswith("glcm") for name in record)
 
 
-def test_the_first_order_of_the_z_score_has_mean_zero_and_variance_one():
-    found = extract_features(texture(40, 3), 0.15, TAGS)
+def test_z_scored_first_order_features_have_mean_0_and_variance_1():
+    found = extract_features(make_texture(40, 3), 0.15, TAGS)
     assert_allclose([found["firstorder_z_Mean"], found["firstorder_z_Variance"]], [0, 1], atol=1e-12)
     assert_array_equal(np.isfinite(list(found.values())), True)

@@ -1,9 +1,9 @@
-"""Records that several threads ask for at once, of types that nobody has met before."""
+"""Parsing of new record types by several threads at once."""
 
 import subprocess
 import sys
 
-# A thread that finds a type half described crashes the process, which is another one for that.
+# A thread that finds a partly described type crashes the process, so the test starts a new one.
 CODE = """
 import sys, threading
 from pssf.data.table_records import Record, parse_record
@@ -26,6 +26,6 @@ print("done")
 """
 
 
-def test_threads_that_meet_a_new_type_at_once_all_have_their_record():
+def test_threads_parse_new_record_types_concurrently():
     done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True)
     assert (done.returncode, done.stdout, done.stderr) == (0, "done\n", "")

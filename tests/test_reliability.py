@@ -1,4 +1,4 @@
-"""ICC with intervals, shares of variance, repeats."""
+"""Reliability: ICC with intervals, variance components, repeated radiographs."""
 
 import numpy as np
 import pandas as pd
@@ -6,8 +6,8 @@ import pingouin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from made_up import features
 from numpy.testing import assert_allclose
+from synthetic_features import make_features
 
 from pssf.study.statistics.features.icc_by_subject import (
     compute_icc_form_intervals,
@@ -26,57 +26,57 @@ from pssf.study.statistics.features.reliability import (
 from pssf.study.statistics.scores.metrics import percentile_interval
 
 
-def draw(knees: int, conditions: int, *, of_condition: float, noise: float, seed: int) -> np.ndarray:
-    """(knees, conditions): knees of variance 1, and an offset a condition."""
+def sample_values(knees: int, conditions: int, *, condition_sd: float, noise: float, seed: int) -> np.ndarray:
+    """Sample values (knees, conditions): knees with variance 1 and an offset per condition."""
     rng = np.random.default_rng(seed)
-    values = rng.normal(size=(knees, 1)) + of_condition * rng.normal(size=conditions)
+    values = rng.normal(size=(knees, 1)) + condition_sd * rng.normal(size=conditions)
     return values + noise * rng.normal(size=(knees, conditions))
 
 
-def test_conditions_that_agree_to_the_last_digit_have_an_icc_of_one_without_width():
+def test_identical_conditions_have_an_icc_of_one_with_a_zero_interval():
     values = np.repeat(np.arange(6.0)[:, None], 3, axis=1)
     assert icc(values) == (1.0, 1.0)
-    found = bounds(values, np.arange(6), replicates=50)
+    found = compute_bounds(values, np.arange(6), replicates=50)
     assert_allclose(found, 1.0)
     assert all(low == high for low, high in found)
 
 
 @pytest.mark.parametrize("offset", [0.0, 1.0, 1e6])
-def test_a_feature_that_is_constant_within_each_condition_has_no_icc_and_no_class(offset):
+def test_a_feature_that_is_constant_per_condition_has_no_icc(offset):
     values = np.tile([3.0, 3.0 + offset], (12, 1))
     values[4, 1] += 1e-13 * values[4, 1]
     assert np.isnan(icc(values)).all()
     assert np.isnan(compute_variance_fractions(values)).all()
-    row = compute_reliability(table_of(values, ["reference", "other"]), ["a"], "reference").iloc[0]
+    row = compute_reliability(make_table(values, ["reference", "other"]), ["a"], "reference").iloc[0]
     assert row["class"] == "undefined"
     assert np.isnan(row[["ICC(2,1) low", "ICC(2,1) high", "ICC(3,1) low", "ICC(3,1) high"]].astype(float)).all()
     assert (
-        count_stable_features(compute_reliability(table_of(values, ["reference", "other"]), ["a"], "reference"))[
+        count_stable_features(compute_reliability(make_table(values, ["reference", "other"]), ["a"], "reference"))[
             "ICC(2,1)"
         ].item()
         == 0
     )
 
 
-def test_what_never_varies_has_no_interval_and_no_shares():
+def test_a_constant_feature_has_no_variance_components():
     assert np.isnan(compute_variance_fractions(np.full((5, 3), 2.0))).all()
 
 
-def test_shares_of_variance_are_those_that_were_drawn():
-    # Variances 1, 0.5 (40 conditions, so that it is known to sqrt(2/39) = 23 %), 0.25; bound at 4 sd of the second.
-    shares = compute_variance_fractions(draw(400, 40, of_condition=np.sqrt(0.5), noise=0.5, seed=1))
-    assert sum(shares) == pytest.approx(1)
-    assert_allclose(shares, np.array([1, 0.5, 0.25]) / 1.75, atol=4 * 0.23 * 0.5 / 1.75)
-    assert shares[0] / shares[2] == pytest.approx(4, rel=4 * np.sqrt(2 / 399))
+def test_variance_components_equal_the_simulated_ones():
+    # Variances are 1, 0.5 and 0.25; 40 conditions give the second to sqrt(2/39) = 23 %; the bound is 4 SD of it.
+    fractions = compute_variance_fractions(sample_values(400, 40, condition_sd=np.sqrt(0.5), noise=0.5, seed=1))
+    assert sum(fractions) == pytest.approx(1)
+    assert_allclose(fractions, np.array([1, 0.5, 0.25]) / 1.75, atol=4 * 0.23 * 0.5 / 1.75)
+    assert fractions[0] / fractions[2] == pytest.approx(4, rel=4 * np.sqrt(2 / 399))
 
 
 def test_a_negative_component_is_set_to_zero():
-    values = draw(10, 3, of_condition=0.0, noise=1.0, seed=0)
-    values -= values.mean(axis=0)  # conditions differ by less than noise would make them
+    values = sample_values(10, 3, condition_sd=0.0, noise=1.0, seed=0)
+    values -= values.mean(axis=0)  # conditions differ by less than noise
     assert compute_variance_fractions(values)[1] == 0.0
 
 
-def table_of(values: np.ndarray, conditions: list[str]) -> pd.DataFrame:
+def make_table(values: np.ndarray, conditions: list[str]) -> pd.DataFrame:
     rows = []
     for knee, line in enumerate(values):
         for name, value in zip(conditions, line, strict=True):
@@ -85,22 +85,22 @@ def table_of(values: np.ndarray, conditions: list[str]) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def test_subjects_and_knees_may_be_called_by_texts():
-    table = table_of(draw(12, 2, of_condition=0.3, noise=0.4, seed=2), ["reference", "other"])
-    # Two knees a subject, called so that the texts sort as the numbers do.
+def test_identifiers_of_subjects_and_knees_may_be_strings():
+    table = make_table(sample_values(12, 2, condition_sd=0.3, noise=0.4, seed=2), ["reference", "other"])
+    # Two knees per subject, with strings that sort like the numbers.
     table["subject"] = table["knee"] // 2
     named = table.assign(**{name: table[name].map("P{:02d}".format) for name in ("subject", "knee")})
-    again = [given[given["protocol"] == "other"].assign(kind="noise", turn=1) for given in (table, named)]
+    again = [given[given["protocol"] == "other"].assign(kind="noise", repeat_index=1) for given in (table, named)]
     of_protocols = [compute_reliability(given, ["a"], "reference", replicates=50) for given in (table, named)]
     of_repeats = [compute_repeatability(*both, ["a"], "reference") for both in zip((table, named), again, strict=True)]
     pd.testing.assert_frame_equal(*of_protocols)
     pd.testing.assert_frame_equal(*of_repeats)
 
 
-def test_a_class_is_by_the_lower_bound():
-    values = draw(12, 2, of_condition=0.0, noise=0.15, seed=4)
+def test_the_reliability_class_uses_the_lower_bound():
+    values = sample_values(12, 2, condition_sd=0.0, noise=0.15, seed=4)
     row = (
-        compute_reliability(table_of(values, ["reference", "other"]), ["a", "b"], "reference")
+        compute_reliability(make_table(values, ["reference", "other"]), ["a", "b"], "reference")
         .set_index("feature")
         .loc["a"]
     )
@@ -109,8 +109,8 @@ def test_a_class_is_by_the_lower_bound():
     assert row["class"] == "good"
 
 
-def test_a_missing_value_costs_its_knee_for_that_feature_alone():
-    table = table_of(draw(12, 2, of_condition=0.1, noise=0.2, seed=4), ["reference", "other"])
+def test_a_missing_value_excludes_its_knee_only_for_that_feature():
+    table = make_table(sample_values(12, 2, condition_sd=0.1, noise=0.2, seed=4), ["reference", "other"])
     whole = compute_reliability(table.assign(c=table["a"]), ["a", "c"], "reference").set_index("feature")
     table = table.assign(c=table["a"].where(table["radiograph"] != "3_other"))
     found = compute_reliability(table, ["a", "c"], "reference").set_index("feature")
@@ -119,14 +119,14 @@ def test_a_missing_value_costs_its_knee_for_that_feature_alone():
     assert np.isfinite(found.loc["c", "ICC(2,1)"])
 
 
-def test_both_knees_of_a_subject_are_one_subject():
-    table = table_of(draw(12, 2, of_condition=0.1, noise=0.2, seed=4), ["reference", "other"])
+def test_both_knees_of_a_subject_count_as_one_subject():
+    table = make_table(sample_values(12, 2, condition_sd=0.1, noise=0.2, seed=4), ["reference", "other"])
     row = compute_reliability(table.assign(subject=table["knee"] // 2), ["a"], "reference").iloc[0]
     assert (row["knees"], row["subjects"]) == (12, 6)
 
 
 def test_a_knee_without_one_protocol_is_left_out():
-    table = table_of(draw(5, 2, of_condition=0, noise=0.2, seed=0), ["reference", "other"])
+    table = make_table(sample_values(5, 2, condition_sd=0, noise=0.2, seed=0), ["reference", "other"])
     values, subjects = pivot_features(
         table[table["radiograph"] != "2_other"], ["a"], "protocol", ["reference", "other"]
     )
@@ -135,14 +135,14 @@ def test_a_knee_without_one_protocol_is_left_out():
 
 
 def test_repeats_are_paired_with_the_first_radiograph_of_their_knee():
-    first = table_of(draw(9, 2, of_condition=3.0, noise=0.1, seed=2), ["reference", "other"])
+    first = make_table(sample_values(9, 2, condition_sd=3.0, noise=0.1, seed=2), ["reference", "other"])
     of_reference = first[first["protocol"] == "reference"]
     parts = []
     for kind, noise in (("noise", 0.01), ("perturbation", 1.0)):
         for turn in ("1", "2"):
             rng = np.random.default_rng(int(turn))
             moved = of_reference["a"] + noise * rng.normal(size=len(of_reference))
-            parts.append(of_reference.assign(kind=kind, turn=turn, a=moved).head(6))
+            parts.append(of_reference.assign(kind=kind, repeat_index=turn, a=moved).head(6))
     found = compute_repeatability(first, pd.concat(parts, ignore_index=True), ["a", "b"], "reference")
     stable = count_stable_features(found).set_index("conditions")
     assert list(stable.index) == ["repeated noise", "small perturbations"]
@@ -152,65 +152,65 @@ def test_repeats_are_paired_with_the_first_radiograph_of_their_knee():
     assert (stable["ICC(2,1) of"] == 1).all()
 
 
-def pairs(subjects: int, seed: int) -> np.ndarray:
-    """(2 subjects, 3): the knees of a subject share half of their variance of 1; noise of variance 0.25."""
+def sample_knee_pairs(subjects: int, seed: int) -> np.ndarray:
+    """Sample values (2 subjects, 3): half of the variance of 1 is common to both knees; noise has variance 0.25."""
     rng = np.random.default_rng(seed)
     shared = np.repeat(rng.normal(size=subjects), 2) * np.sqrt(0.5)
     knees = shared + np.sqrt(0.5) * rng.normal(size=2 * subjects)
     return knees[:, None] + 0.5 * rng.normal(size=(2 * subjects, 3))
 
 
-def bounds(values: np.ndarray, subjects: np.ndarray, *, replicates: int = 500, seed: int = 0) -> tuple:
-    """Intervals of both forms."""
+def compute_bounds(values: np.ndarray, subjects: np.ndarray, *, replicates: int = 500, seed: int = 0) -> tuple:
+    """Compute the intervals of both forms of the ICC."""
     weights = sample_knee_weights(subjects, replicates=replicates, seed=seed)
     return compute_icc_form_intervals(icc(values), values, weights, len(set(subjects)))
 
 
 @pytest.mark.parametrize("subjects", [10, 60])
-def test_an_interval_by_subjects_covers_the_true_icc_as_often_as_it_says_and_percentiles_do_not(subjects):
+def test_subject_bootstrap_intervals_have_nominal_coverage(subjects):
     missed = by_percentiles = 0
     owners = np.repeat(np.arange(subjects), 2)
     for seed in range(300):
-        values = pairs(subjects, seed)
-        low, high = bounds(values, owners, replicates=300, seed=seed)[1]
+        values = sample_knee_pairs(subjects, seed)
+        low, high = compute_bounds(values, owners, replicates=300, seed=seed)[1]
         missed += not low <= 0.8 <= high
-        drawn = compute_weighted_icc(values, sample_knee_weights(owners, replicates=300, seed=seed))[1]
-        by_percentiles += not percentile_interval(drawn)[0] <= 0.8 <= percentile_interval(drawn)[1]
-    # 300 draws miss 15 +- 3.8.
+        resampled = compute_weighted_icc(values, sample_knee_weights(owners, replicates=300, seed=seed))[1]
+        by_percentiles += not percentile_interval(resampled)[0] <= 0.8 <= percentile_interval(resampled)[1]
+    # 300 intervals miss 15 +- 3.8 times.
     assert missed <= 15 + 4 * 3.8
     assert missed < by_percentiles
 
 
 @pytest.mark.parametrize("value", [1.0, 0.9, 0.0, -0.4])
 @pytest.mark.parametrize("conditions", [2, 3, 7])
-def test_an_interval_of_an_icc_holds_it_and_ends_within_what_an_icc_can_be(value, conditions):
-    drawn = np.clip(value + 0.3 * np.random.default_rng(0).normal(size=200), -1, 1)
-    low, high = compute_icc_interval(value, drawn, conditions=conditions, subjects=12)
+def test_an_icc_interval_contains_it_and_stays_in_the_possible_range(value, conditions):
+    resampled = np.clip(value + 0.3 * np.random.default_rng(0).normal(size=200), -1, 1)
+    low, high = compute_icc_interval(value, resampled, conditions=conditions, subjects=12)
     assert min(value, -1 / (conditions - 1)) <= low <= value <= high <= 1
 
 
-def test_knees_that_say_the_same_twice_do_not_narrow_an_interval():
-    once = draw(60, 3, of_condition=0.3, noise=0.5, seed=1)
+def test_duplicate_knees_of_a_subject_do_not_narrow_the_interval():
+    once = sample_values(60, 3, condition_sd=0.3, noise=0.5, seed=1)
     twice, subjects = np.repeat(once, 2, axis=0), np.repeat(np.arange(60), 2)
-    alone = bounds(once, np.arange(60))
-    both = bounds(twice, subjects)
-    # But for the degrees of freedom, which are those of twice as many knees.
+    alone = compute_bounds(once, np.arange(60))
+    both = compute_bounds(twice, subjects)
+    # They differ by the degrees of freedom, which are those of twice as many knees.
     assert_allclose(both, alone, atol=0.01)
-    fooled = bounds(twice, np.arange(120))[1]
-    assert fooled[1] - fooled[0] < 0.8 * (both[1][1] - both[1][0])
+    wrong = compute_bounds(twice, np.arange(120))[1]
+    assert wrong[1] - wrong[0] < 0.8 * (both[1][1] - both[1][0])
 
 
-def test_a_sample_that_is_the_cohort_has_its_icc():
-    values = draw(30, 3, of_condition=0.5, noise=0.4, seed=2)
+def test_a_bootstrap_sample_equal_to_the_cohort_has_its_icc():
+    values = sample_values(30, 3, condition_sd=0.5, noise=0.4, seed=2)
     found = compute_icc_form_intervals(icc(values), values, np.ones((1, 30)), 30)
     for (low, high), known in zip(found, icc(values), strict=True):
         assert low == high == pytest.approx(known, abs=1e-12)
     assert_allclose(np.ravel(compute_weighted_icc(values, np.ones((1, 30)))), icc(values), atol=1e-12)
 
 
-def test_an_interval_means_the_same_whether_subjects_give_one_knee_or_two():
-    # The second protocol is far off: as one of many it would leave the ICC open, as one of these two it does not.
-    table = table_of(pairs(20, 5)[:, :2] + np.array([0.0, 2.0]), ["reference", "other"])
+def test_icc_intervals_are_comparable_for_one_or_two_knees_per_subject():
+    # The second protocol has a large offset; protocols are fixed, so the interval stays finite.
+    table = make_table(sample_knee_pairs(20, 5)[:, :2] + np.array([0.0, 2.0]), ["reference", "other"])
     alone = compute_reliability(table, ["a", "b"], "reference", replicates=300).set_index("feature").loc["a"]
     two = compute_reliability(table.assign(subject=table["knee"] // 2), ["a", "b"], "reference", replicates=300)
     paired = two.set_index("feature").loc["a"]
@@ -246,10 +246,10 @@ def test_an_offset_between_protocols_lowers_agreement_and_not_consistency():
     assert 0 < agreement < 0.5
 
 
-def test_a_feature_that_is_the_same_everywhere_has_no_icc_and_is_counted_apart():
+def test_a_constant_feature_has_no_icc_and_is_counted_separately():
     assert np.isnan(icc(np.full((5, 3), 7.0))).all()
     assert np.isnan(icc(1 + 1e-15 * np.arange(15.0).reshape(5, 3))).all()
-    table = features(8).assign(constant=1.0)
+    table = make_features(8).assign(constant=1.0)
     stable = count_stable_features(compute_reliability(table, ["signal", "constant"], "reference"))
     assert list(stable["conditions"]) == [
         "all protocols",

@@ -1,11 +1,11 @@
-"""The tibia beside the femur: by so many millimetres, in every posture, with the joint spaces that were asked for."""
+"""Subluxation: the femur is shifted on the tibia in every posture, and joint spaces stay as specified."""
 
 import dataclasses
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from standing import standing_bones
+from posed_bones import build_posed_bones
 
 import pssf
 from pssf import InputError, Knee
@@ -22,23 +22,23 @@ FIXED_FLEXION = pssf.load_protocol("fixed_flexion")
 REFERENCE = pssf.load_protocol("reference")
 
 
-def standing(knee, posture):
-    """How it stands, and its bones without soft tissue."""
+def assemble_and_build(knee, posture):
+    """Assemble a knee in a posture and build its bones without soft tissue."""
     assembly = assemble_knee(
         knee, resolve_bone_parameters(knee, load_anatomy_tables()), posture, load_jsw_protocol(knee)
     )
-    return assembly, standing_bones(knee, assembly)
+    return assembly, build_posed_bones(knee, assembly)
 
 
-@pytest.mark.parametrize("slipped_mm", [-6.0, 3.0, 6.0])
-def test_the_femur_stands_so_far_to_medial_on_the_tibia_and_spaces_are_kept(slipped_mm):
-    knee = Knee(jsw_medial_mm=1.5, jsw_lateral_mm=5.0, subluxation_mm=slipped_mm)
-    assembly, placed = standing(knee, Posture())
-    there, _ = standing(dataclasses.replace(knee, subluxation_mm=0.0), Posture())
-    # Of the femur's lower end, which the tilt that keeps the spaces moves by a tenth or two.
+@pytest.mark.parametrize("subluxation_mm", [-6.0, 3.0, 6.0])
+def test_the_femur_is_shifted_medially_and_joint_spaces_are_kept(subluxation_mm):
+    knee = Knee(jsw_medial_mm=1.5, jsw_lateral_mm=5.0, subluxation_mm=subluxation_mm)
+    assembly, placed = assemble_and_build(knee, Posture())
+    unshifted, _ = assemble_and_build(dataclasses.replace(knee, subluxation_mm=0.0), Posture())
+    # The lower end of the femur is compared; the tilt that keeps the joint spaces moves it by 0.1 to 0.2 mm.
     middle = np.zeros((1, 3))
-    one, other = ((at.place_femur_points(middle) - at.place_tibia_points(middle))[0, 0] for at in (assembly, there))
-    assert one - other == pytest.approx(slipped_mm, abs=0.25)
+    one, other = ((at.place_femur_points(middle) - at.place_tibia_points(middle))[0, 0] for at in (assembly, unshifted))
+    assert one - other == pytest.approx(subluxation_mm, abs=0.25)
     femur, tibia = (extract_mesh(placed[name].outer) for name in ("femur", "tibia"))
     gaps = [
         measure_gap(
@@ -53,20 +53,20 @@ def test_the_femur_stands_so_far_to_medial_on_the_tibia_and_spaces_are_kept(slip
 
 
 @pytest.mark.parametrize("posture", [FIXED_FLEXION.posture, Posture()])
-def test_a_bent_knee_has_slipped_as_far(posture):
-    slipped = Knee(jsw_definition="read", jsw_medial_mm=2.0, jsw_lateral_mm=5.0, subluxation_mm=4.0)
-    tables, protocol = load_anatomy_tables(), load_jsw_protocol(slipped)
+def test_a_flexed_knee_has_the_same_subluxation(posture):
+    shifted = Knee(jsw_definition="read", jsw_medial_mm=2.0, jsw_lateral_mm=5.0, subluxation_mm=4.0)
+    tables, protocol = load_anatomy_tables(), load_jsw_protocol(shifted)
     poses = [
         assemble_knee(knee, resolve_bone_parameters(knee, tables), posture, protocol).pose
-        for knee in (slipped, dataclasses.replace(slipped, subluxation_mm=0.0))
+        for knee in (shifted, dataclasses.replace(shifted, subluxation_mm=0.0))
     ]
-    # Of the place that the femur bends and turns about; the tilt that keeps the spaces moves it by some tenths.
+    # The pivot of the femur is compared; the tilt that keeps the joint spaces moves it by a few tenths of a mm.
     one, other = (apply_transform(np.array([pose.pivot_mm]), pose.femur_to_tibia_transform())[0, 0] for pose in poses)
     assert one - other == pytest.approx(4.0, abs=0.5)
     assert [pose.medial_shift_mm for pose in poses] == [4.0, 0.0]
 
 
-def test_a_subluxed_knee_is_built_without_faults_with_its_spaces():
+def test_a_subluxed_knee_is_built_without_faults_and_with_its_jsw():
     knee = Knee(
         jsw_definition="read", jsw_medial_mm=0.8, jsw_lateral_mm=4.5, varus_deg=4.0, subluxation_mm=5.0, side="left"
     )
@@ -75,7 +75,7 @@ def test_a_subluxed_knee_is_built_without_faults_with_its_spaces():
     assert_allclose(built.measure_jsw_mm(FIXED_FLEXION), (0.8, 4.5), atol=1e-3)
 
 
-def test_it_is_bounded_and_drawn_where_the_medial_side_of_an_advanced_knee_narrows():
+def test_subluxation_is_sampled_in_advanced_medial_disease():
     with pytest.raises(InputError, match=r"subluxation_mm must be .*, got 7"):
         Knee(subluxation_mm=7.0)
     for grade in range(5):
@@ -83,10 +83,10 @@ def test_it_is_bounded_and_drawn_where_the_medial_side_of_an_advanced_knee_narro
             pssf.sample_knee(grade=grade, rng=np.random.default_rng((3, grade, k)), grade_table="population")
             for k in range(200)
         ]
-        slipped = np.array([knee.subluxation_mm for knee in knees])
+        shifted = np.array([knee.subluxation_mm for knee in knees])
         narrow = np.array([knee.jsw_medial_mm < knee.jsw_lateral_mm for knee in knees])
-        assert ((slipped >= 0) & (slipped <= 5)).all()
-        assert (slipped > 0).any() == (grade > 2)
+        assert ((shifted >= 0) & (shifted <= 5)).all()
+        assert (shifted > 0).any() == (grade > 2)
         if grade > 2:
-            assert 0.2 < slipped[narrow].mean() < 1.0
-            assert slipped[~narrow].mean() < 0.5
+            assert 0.2 < shifted[narrow].mean() < 1.0
+            assert shifted[~narrow].mean() < 0.5

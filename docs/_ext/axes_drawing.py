@@ -1,5 +1,5 @@
-# ruff: noqa: E501 - the outline of a bone is one text
-"""Directive that draws axes, source and detector, from the numbers of a protocol, as SVG that follows the theme."""
+# ruff: noqa: E501 - the SVG path of a bone is one long string
+"""Directive that draws the axes, source and detector of a protocol as SVG in the colours of the theme."""
 
 from math import cos, radians, sin
 
@@ -11,7 +11,7 @@ from sphinx.util.typing import ExtensionMetadata
 import pssf
 from pssf.geometry.view import resolve_view
 
-# Colours of the theme, so that the drawing can be read in light and dark.
+# CSS colours of the theme, which make the drawing legible in light and dark mode.
 _LINE, _MUTED = "var(--pst-color-text-base)", "var(--pst-color-text-muted)"
 _BEAM, _BONE = "var(--pst-color-primary)", "var(--pst-color-secondary)"
 
@@ -20,7 +20,7 @@ class AxesDrawing(SphinxDirective):
     """Draw the knee frame from the side and from the front."""
 
     def run(self) -> list[nodes.Node]:
-        """Make one SVG with both drawings, and a text for readers that show no pictures."""
+        """Make one SVG with the two drawings, and a text alternative for screen readers."""
         self.env.note_dependency(__file__)
         svg = draw_side_view() + draw_front_view()
         text = (
@@ -51,7 +51,7 @@ _STYLE = (
 
 
 def draw_side_view() -> str:
-    """Draw source, knee and detector seen from the side, to the scale of the protocol reference.
+    """Draw source, knee and detector of the protocol reference from the side, to scale.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def draw_side_view() -> str:
     source_x, detector_x = place_x(view.source_mm[1]), place_x(view.centre_mm[1])
     half = view.rows * view.pixel_mm / 2
     parts = [_text(380, 24, "From the medial side of a right knee, to scale", "middle")]
-    # Beam: the central ray and the rays to both edges of the detector.
+    # The beam is drawn as the central ray and the rays to the two edges of the detector.
     for z_mm, kind in ((0.0, "ray"), (half, "dim"), (-half, "dim")):
         parts.append(_line(source_x, origin_y, detector_x, place_y(z_mm), kind))
     parts.append(f'<circle class="fill" cx="{source_x}" cy="{origin_y}" r="4"/>')
@@ -105,7 +105,7 @@ def draw_side_view() -> str:
 
 
 def draw_front_view() -> str:
-    """Draw a right knee and its image as the detector shows it, not to scale.
+    """Draw a right knee from the front and its image, not to scale.
 
     Returns
     -------
@@ -127,7 +127,7 @@ def draw_front_view() -> str:
     parts += _arrow(x, y, x + 104, y) + _arrow(x, y, x, y - 104)
     parts += [_text(x + 78, y - 8, "+x medial", "start", "b"), _text(x + 30, y - 92, "+z proximal", "start", "b")]
     parts.append(_text(x - 66, y - 8, "lateral", "end", "m"))
-    # The image.
+    # The image is drawn as a square with its row and column axes.
     left, top, side = 460.0, 440.0, 220.0
     parts.append(_text(left + side / 2, 415, "Its image: (rows, cols)", "middle"))
     parts.append(f'<rect x="{left}" y="{top}" width="{side}" height="{side}"/>')
@@ -141,19 +141,19 @@ def draw_front_view() -> str:
 
 
 def _line(x1: float, y1: float, x2: float, y2: float, kind: str = "") -> str:
-    """Draw a line."""
+    """Make an SVG line; `kind` is its CSS class."""
     return f'<line class="{kind}" x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}"/>'
 
 
 def _arrow(x1: float, y1: float, x2: float, y2: float) -> list[str]:
-    """Draw an arrow along an axis of the drawing."""
+    """Make a horizontal or vertical SVG arrow."""
     dx, dy = (x2 > x1) - (x2 < x1), (y2 > y1) - (y2 < y1)
     tip = f"M{x2 - 8 * dx - 4 * dy} {y2 - 8 * dy - 4 * dx} L{x2} {y2} L{x2 - 8 * dx + 4 * dy} {y2 - 8 * dy + 4 * dx}"
     return [_line(x1, y1, x2, y2, "ray"), f'<path class="ray" d="{tip}"/>']
 
 
 def _text(x: float, y: float, text: str, anchor: str, kind: str = "") -> str:
-    """Write a text; `anchor` is start, middle or end."""
+    """Make an SVG text; `anchor` is start, middle or end, and `kind` is its CSS class."""
     safe = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
     return f'<text class="{kind}" x="{x:.1f}" y="{y:.1f}" text-anchor="{anchor}">{safe}</text>'
 

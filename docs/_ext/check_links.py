@@ -1,8 +1,12 @@
-"""Check the links between the built pages: files and anchors, without a network."""
+"""Check that the links between the built pages lead to existing files and anchors; no network is needed."""
 
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
+
+from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
+from sphinx.util.typing import ExtensionMetadata
 
 
 class _Page(HTMLParser):
@@ -14,7 +18,7 @@ class _Page(HTMLParser):
         self.anchors: set[str] = set()
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        """Keep href, src, id and name."""
+        """Collect the attributes href, src, id and name of a tag."""
         for name, value in attrs:
             if value and name in ("href", "src"):
                 self.links.append(value)
@@ -54,6 +58,19 @@ def list_broken_links(html: Path) -> list[str]:
             if missing or (anchor and known is not None and anchor not in known):
                 broken.append(f"{path.relative_to(html.resolve())}: {link}")
     return broken
+
+
+def check_built_links(app: Sphinx, exception: Exception | None) -> None:
+    """Raise an error at the end of a build if a link leads to no file or anchor."""
+    broken = [] if exception or app.builder.name != "html" else list_broken_links(Path(app.outdir))
+    if broken:
+        raise ExtensionError("these links of the built pages lead to no file or anchor:\n" + "\n".join(broken))
+
+
+def setup(app: Sphinx) -> ExtensionMetadata:
+    """Register the check."""
+    app.connect("build-finished", check_built_links)
+    return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
 
 
 if __name__ == "__main__":

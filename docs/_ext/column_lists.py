@@ -1,4 +1,4 @@
-"""Directive that lists the columns of the CSV files from docs/reference/columns.toml."""
+"""Directive that lists the columns of the CSV files that docs/reference/columns.toml describes."""
 
 import tomllib
 from fnmatch import fnmatch
@@ -19,7 +19,7 @@ def load_columns() -> dict[str, Any]:
     Returns
     -------
     dict of str to dict
-        File name to its ``text``, ``group``, ``row`` and ``columns``.
+        Entries ``text``, ``group``, ``row`` and ``columns`` of each file, keyed by file name.
     """
     return tomllib.loads(COLUMNS.read_text(encoding="utf-8"))
 
@@ -30,12 +30,12 @@ def list_unknown_columns(folder: Path) -> list[str]:
     Parameters
     ----------
     folder : Path
-        Folder of a run, such as one of ``pssf study``.
+        Output folder of a command such as ``pssf study``.
 
     Returns
     -------
     list of str
-        ``FILE: COLUMN``, or ``FILE`` if the file is not described at all.
+        One line per missing description: ``FILE: COLUMN``, or ``FILE`` if the whole file is not described.
     """
     import csv
 
@@ -81,7 +81,7 @@ class ColumnList(SphinxDirective):
 
 
 def _split(names: str) -> list[str]:
-    """Split a key with several columns; ICC(2,1) keeps its comma."""
+    """Split a key of ``columns`` into column names at the commas; a key such as ICC(2,1) is one name."""
     return [names] if "(" in names else [name.strip() for name in names.split(",")]
 
 

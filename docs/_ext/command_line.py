@@ -1,6 +1,7 @@
 """Directive that lists every command and option of the command line, read from the Typer application itself.
 
-`sphinxcontrib-typer` draws the terminal of Rich, which this application does not use, and stops with an AttributeError.
+The extension `sphinxcontrib-typer` cannot be used: it needs the terminal output of Rich, which this application does
+not use, and stops with an AttributeError.
 """
 
 import os
@@ -26,13 +27,13 @@ class CommandLine(SphinxDirective):
 
         for file in Path(pssf.cli.__file__).parent.glob("*.py"):
             self.env.note_dependency(str(file))
-        # The help of an option must not depend on the machine that builds the site.
+        # A fixed terminal width makes the help texts independent of the machine that builds the site.
         os.environ["COLUMNS"] = "100"
         root = typer.main.get_command(app)
         return [self._make_section(command, f"pssf {name}") for name, command in root.commands.items()]  # type: ignore[attr-defined]
 
     def _make_section(self, command: Any, path: str) -> nodes.section:
-        """Make the section of a command, and within it those of its subcommands."""
+        """Make the section of a command, with one nested section per subcommand."""
         import typer
 
         context = typer.Context(command, info_name=path)
@@ -62,7 +63,7 @@ class CommandLine(SphinxDirective):
 
 
 def _split_default(text: str) -> list[nodes.Node]:
-    """Set "[default: ...]" and "[required]" at the end of a help text apart."""
+    """Split "[default: ...]" or "[required]" from the end of a help text, and show it in another style."""
     found = re.search(r"\s*\[((?:default: .*|required))\]$", text)
     if not found:
         return [nodes.Text(text)]

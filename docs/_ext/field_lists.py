@@ -21,7 +21,7 @@ class FieldList(SphinxDirective):
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """Make one entry per field, which a link can point to."""
+        """Make one entry per field, each with an anchor for links."""
         kind = self.arguments[0]
         for file in DATA.glob("*_fields.toml"):
             self.env.note_dependency(str(file))
@@ -31,7 +31,7 @@ class FieldList(SphinxDirective):
         return [entries]
 
     def _make_entry(self, kind: str, row: dict[str, str]) -> nodes.definition_list_item:
-        """Make the entry of one field."""
+        """Make the definition-list entry of one field."""
         identifier = f"{kind}-{row['field']}".replace(".", "-").replace("_", "-")
         term = nodes.term("", "", nodes.literal(text=row["field"]), ids=[identifier])
         if row["unit"]:
@@ -51,7 +51,7 @@ class FieldList(SphinxDirective):
 
 
 class ProtocolTable(SphinxDirective):
-    """Show each protocol of the package with what it changes in its base."""
+    """Show each protocol of the package with the fields that differ from its base."""
 
     def run(self) -> list[nodes.Node]:
         """Make a table with one row per protocol."""
@@ -71,7 +71,7 @@ class ProtocolTable(SphinxDirective):
 def make_table(
     heads: tuple[str, ...], rows: list[tuple[str, ...]], widths: tuple[int, ...], literal: tuple[int, ...] = ()
 ) -> nodes.table:
-    """Make a table of texts; the columns in `literal` are set as code."""
+    """Make a table of texts; columns whose index is in `literal` are shown as code."""
     group = nodes.tgroup(cols=len(heads))
     group.extend(nodes.colspec(colwidth=width) for width in widths)
     head = nodes.row()
@@ -89,12 +89,12 @@ def make_table(
 
 
 def _show(value: object) -> str:
-    """Write a value as TOML has it."""
+    """Format a value as in a TOML file."""
     return f'"{value}"' if isinstance(value, str) else str(value)
 
 
 def _describe_missing(row: dict[str, str]) -> str:
-    """Say that a field has to be given, or nothing for the fields of an osteophyte or a cyst."""
+    """Describe a default that the listing lacks: a number of an osteophyte or cyst, or that the field is required."""
     if "." not in row["field"]:
         return "none; the field is required"
     kind, name = row["field"].split("s.", 1)
@@ -105,7 +105,7 @@ def _describe_missing(row: dict[str, str]) -> str:
 
 
 def _end_sentence(text: str) -> str:
-    """End a text with a full stop."""
+    """Add a full stop to a text that has none."""
     return text if text.endswith(".") else f"{text}."
 
 

@@ -22,6 +22,6 @@ def check_api_page(app: Sphinx) -> None:
 
 
 def setup(app: Sphinx) -> ExtensionMetadata:
-    """Register the check."""
+    """Register the check of the API page."""
     app.connect("builder-inited", check_api_page)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}

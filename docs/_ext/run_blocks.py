@@ -6,9 +6,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-# A block that opens with ```python. Blocks of other languages are not run.
+# A Python block opens with ```python. Blocks of other languages are not run.
 _BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-_CONSOLE = re.compile(r"^```console\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+# A command is a line of a console block or an indented line of a README, up to a comment or a redirection.
+_COMMAND = re.compile(r"^(?:\$ | {4})(\S.*?)(?:\s+#.*|\s+>.*)?$", re.MULTILINE)
+_CODE = re.compile(r"^```(?!console).*?^```$", re.MULTILINE | re.DOTALL)
 
 
 def read_blocks(page: Path) -> list[tuple[int, str]]:
@@ -22,7 +24,7 @@ def read_blocks(page: Path) -> list[tuple[int, str]]:
     Returns
     -------
     list of (int, str) tuple
-        Number of the first line of code in the file, counted from 1, and the code.
+        Code of each block, after the number of its first line in the file, counted from 1.
     """
     text = page.read_text(encoding="utf-8")
     return [(text.count("\n", 0, found.start(1)) + 1, found.group(1)) for found in _BLOCK.finditer(text)]
@@ -38,7 +40,7 @@ def run_blocks(page: Path, folder: Path | None = None) -> dict[str, Any]:
     page : Path
         Markdown file.
     folder : Path, optional
-        Working folder of the code; files are written there. None: a temporary folder, which is deleted.
+        Working folder, to which the code writes its files. None for a temporary folder that is deleted afterwards.
 
     Returns
     -------
@@ -52,15 +54,15 @@ def run_blocks(page: Path, folder: Path | None = None) -> dict[str, Any]:
         os.chdir(folder or spare)
         try:
             for line, code in blocks:
-                # Empty lines in front keep the line numbers of the page in a traceback.
+                # Leading empty lines give the code the line numbers of the page in a traceback.
                 exec(compile("\n" * (line - 1) + code, str(page), "exec"), names)
         finally:
             os.chdir(before)
     return names
 
 
-def check_commands(page: Path) -> list[str]:
-    """Parse every ``$ pssf ...`` line of the console blocks of a page, without running it.
+def read_commands(page: Path) -> list[str]:
+    """Read the shell commands of a page: lines of console blocks, and indented lines of a README.
 
     Parameters
     ----------
@@ -70,7 +72,24 @@ def check_commands(page: Path) -> list[str]:
     Returns
     -------
     list of str
-        One line per command that the command line rejects: the command and the reason.
+        Commands without prompt, comment and redirection; commands joined by ``&&`` are separate entries.
+    """
+    text = _CODE.sub("", page.read_text(encoding="utf-8")).replace("\\\n", " ")
+    return [one.strip() for line in _COMMAND.findall(text) for one in line.split("&&")]
+
+
+def check_commands(page: Path) -> list[str]:
+    """Parse every ``pssf ...`` command of a page, without running it.
+
+    Parameters
+    ----------
+    page : Path
+        Markdown file.
+
+    Returns
+    -------
+    list of str
+        One line per command that the parser rejects: the command and the reason.
     """
     import shlex
 
@@ -79,17 +98,21 @@ def check_commands(page: Path) -> list[str]:
     from pssf.cli import app
 
     faults = []
-    blocks = "".join(_CONSOLE.findall(page.read_text(encoding="utf-8")))
-    for line in re.findall(r"^\$ (?:uv run )?pssf (.*)$", blocks, re.MULTILINE):
-        command, words = typer.main.get_command(app), shlex.split(line.split(" > ")[0], comments=True)
+    for line in read_commands(page):
+        words = shlex.split(line)
+        if "pssf" not in words or words[0] not in ("pssf", "uv"):
+            continue
+        command, words = typer.main.get_command(app), words[words.index("pssf") + 1 :]
         try:
             while words and words[0] in getattr(command, "commands", {}):
                 command = command.commands[words[0]]  # type: ignore[attr-defined]
                 words = words[1:]
+            if words and getattr(command, "commands", None) and not words[0].startswith("-"):
+                raise ValueError(f"no command {words[0]}")
             command.make_context("pssf", words)
         except Exception as error:
             by_parser = getattr(error, "format_message", None)
-            faults.append(f"pssf {line}: {by_parser() if by_parser else error}")
+            faults.append(f"{line}: {by_parser() if by_parser else error}")
     return faults
 
 

@@ -9,7 +9,7 @@ In this lesson you simulate one radiograph, display it, and read its labels. It 
 # Sample a knee
 # -------------
 #
-# A knee is described by a :class:`pssf.Knee`. ``sample_knee`` samples one from a grade table. The default table,
+# A knee is described by a :class:`pssf.Knee`. ``sample_knee`` samples a knee from a grade table. The default table,
 # ``population``, has the Kellgren-Lawrence (KL) grades 0 to 4, which overlap as in patients. The same seed ``rng``
 # always gives the same knee.
 
@@ -29,9 +29,9 @@ print("osteophytes:", [(one.site, round(one.size_mm, 1)) for one in knee.osteoph
 # Choose a protocol
 # -----------------
 #
-# A protocol holds technique, geometry and detector. ``fixed_flexion`` is the view of osteoarthritis trials. Its
-# detector has 2048 x 2048 pixels. ``resample(512)`` keeps the field and makes the pixels larger, so that this page is
-# built quickly. **For the full size, leave out** ``.resample(512)``.
+# A protocol contains technique, geometry and detector. ``fixed_flexion`` is the view of osteoarthritis trials. Its
+# detector has 2048 x 2048 pixels. ``resample(512)`` keeps the field size and makes the pixels larger, so this page is
+# built quickly. **For the full matrix, omit** ``.resample(512)``.
 
 protocol = pssf.load_protocol("fixed_flexion").resample(512)
 print(protocol.tube_kv, "kV,", protocol.mas, "mAs, pixels of", protocol.pixel_mm, "mm")
@@ -40,16 +40,16 @@ print(protocol.tube_kv, "kV,", protocol.mas, "mAs, pixels of", protocol.pixel_mm
 # Simulate
 # --------
 #
-# ``rng`` is the seed of the quantum noise. ``keep=("masks",)`` asks for the silhouettes of bones and osteophytes.
+# ``rng`` is the seed of the quantum noise. ``keep=("masks",)`` adds masks: the silhouettes of bones and osteophytes.
 
 radiograph = pssf.simulate(knee, protocol, rng=7, keep=("masks",))
 print(radiograph)
 
 # %%
-# Two kinds of pixels
-# -------------------
+# Linear pixels and display image
+# -------------------------------
 #
-# ``radiograph.pixels`` are *for processing*: 16 bit, linear in the absorbed energy, air bright. They are the data for
+# ``radiograph.pixels`` are *for processing*: 16 bit, linear in the absorbed energy, air bright. Use these pixels for
 # measurements. ``render_for_display`` makes the image *for presentation*: bone bright, with the contrast of a
 # clinical system.
 
@@ -66,9 +66,9 @@ for one in axes:
 # Read the labels
 # ---------------
 #
-# ``radiograph.truth`` holds the labels of this radiograph. They come from the solids, not from the image. The minimum
-# medial joint space of the radiograph differs from the specified one, because the specified one is defined under one
-# posture and this radiograph has another.
+# ``radiograph.truth`` contains the labels of this radiograph. The labels come from the solids, not from the image. The
+# specified joint space is defined in one posture. This radiograph has another posture, so its minimum joint space
+# differs from the specified joint space.
 
 truth = radiograph.truth
 print("KL grade:", truth.grade, "| grade of a simulated reader:", truth.reader_grade)
@@ -93,11 +93,11 @@ axis.set_axis_off()
 # Save
 # ----
 #
-# A TIFF holds the linear pixels and all parameters. ``load`` reads both back.
+# A TIFF contains the linear pixels and all parameters. ``load`` reads pixels and parameters.
 
 with tempfile.TemporaryDirectory() as folder:
     path = pssf.save(radiograph, Path(folder) / "knee.tif")
     print("the same radiograph:", pssf.load(path).truth.jsw_medial_mm == truth.jsw_medial_mm)
 
 # %%
-# Next: a set of labelled images for a network. All labels are defined in :doc:`/reference/labels`.
+# The next lesson makes a set of labelled images for a network. All labels are defined in :doc:`/reference/labels`.

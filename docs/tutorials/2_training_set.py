@@ -10,8 +10,9 @@ page makes 5 images of 128 x 128 pixels. **For 500 images, set** ``KNEES_PER_GRA
 # Make a cohort
 # -------------
 #
-# The command line makes cohorts. Five numbers after ``--knees`` are the numbers of knees of KL 0 to 4.
-# ``--acquisition sampled`` varies positioning, beam, dose and field, as in a clinic. ``--masks`` adds the masks.
+# The command ``pssf cohort`` makes a cohort. ``--knees`` gives the number of knees of each KL grade, from 0 to 4.
+# ``--acquisition sampled`` varies positioning, beam, dose and field, as in a clinic. ``--masks`` writes the masks of
+# every radiograph.
 
 import csv
 import json
@@ -44,8 +45,8 @@ run_pssf(
 )  # fmt: skip
 
 # %%
-# The folder has the images, the masks, one record per knee, and ``manifest.csv`` with one row per radiograph. An
-# interrupted run continues when the same command is given again.
+# The folder has the images, the masks, one record per knee, and ``manifest.csv`` with one row per radiograph. Repeat
+# the command to continue an interrupted run.
 
 for path in sorted(work.glob("cohort/*")):
     print(path.name)
@@ -55,15 +56,15 @@ for row in rows:
     print(row["file"], "KL", row["grade"], "medial", row["jsw_medial_mm"], "mm", row["side"])
 
 # %%
-# Subjects are numbered at random, so that no file name predicts a grade. If a knee cannot be built, the cohort stops
+# Subjects are numbered at random, so no file name predicts a grade. If a knee cannot be built, the cohort stops
 # with an error that names the fields; use another seed.
 #
 # Export the labels
 # -----------------
 #
 # ``pssf cohort labels`` writes the labels in common formats: readings with the columns of the Osteoarthritis
-# Initiative, landmarks as ``.pts`` files and as COCO keypoints, and 8-bit images in one folder per grade, as
-# ``ImageFolder`` of torchvision reads them.
+# Initiative, landmarks as ``.pts`` files and as COCO keypoints, and 8-bit images in one folder per grade.
+# ``ImageFolder`` of torchvision reads these folders.
 
 run_pssf("cohort", "labels", f"{work}/cohort", "--out", f"{work}/labels")
 for path in sorted(work.glob("labels/images/*/*.png")):
@@ -75,8 +76,8 @@ print(keypoints["categories"][0]["keypoints"])
 # Load a batch
 # ------------
 #
-# Any library can read these files. With numpy and Pillow a batch looks like this. The grade is the name of the
-# folder. With torchvision it is ``ImageFolder("runs/labels/images")``.
+# Any library can read these files. The following code loads a batch with numpy and Pillow. The grade is the name of
+# the folder. With torchvision, use ``ImageFolder("runs/labels/images")``.
 
 files = sorted(work.glob("labels/images/*/*.png"))
 images = np.stack([np.asarray(Image.open(path), dtype=np.float32) / 255 for path in files])
@@ -99,8 +100,8 @@ for axis, path, image in zip(axes, files, images, strict=True):
 # Masks as a label map
 # --------------------
 #
-# The masks of a radiograph are separate, since bones overlap in projection. A label map needs an order: here later
-# names cover earlier ones.
+# Every mask of a radiograph is a separate image, because bones overlap in projection. A label map needs an order: in
+# this example, later masks overwrite earlier masks.
 
 row = rows[0]
 masks = pssf.load_masks(work / "cohort" / row["masks"])
@@ -113,7 +114,7 @@ print({int(value): int((label_map == value).sum()) for value in np.unique(label_
 # Split by subject
 # ----------------
 #
-# Radiographs of one subject must be in one part only. The manifest has the column ``subject``.
+# All radiographs of a subject must be in the same set. The manifest has the column ``subject``.
 
 subjects = sorted({row["subject"] for row in rows})
 parts = np.random.default_rng(0).permuted(np.arange(len(subjects)) % 5 == 0)
@@ -121,4 +122,4 @@ test = {subject for subject, chosen in zip(subjects, parts, strict=True) if chos
 print("test subjects:", sorted(test))
 
 # %%
-# A network that is trained on these images is not validated for patients. See :doc:`/explanation/limits`.
+# A network that is trained on these images is not validated for use on patients. See :doc:`/explanation/limits`.

@@ -40,8 +40,8 @@ scene = pssf.Scene(
 # A protocol of your own
 # ----------------------
 #
-# A protocol is a TOML file. ``base`` names another protocol, and the file gives only what differs. All fields are in
-# :doc:`/reference/protocol_fields`.
+# A protocol is a TOML file. ``base`` refers to another protocol, and the file gives only the differences. All fields
+# are listed in :doc:`/reference/protocol_fields`.
 
 text = """
 base = "reference"
@@ -61,12 +61,12 @@ print(protocol.name, protocol.tube_kv, "kV, detector", protocol.sdd_mm - protoco
 # Check before you simulate
 # -------------------------
 #
-# ``check`` lists the faults of a scene: open meshes, wrong nesting, overlaps, parts outside the field.
+# ``check`` lists the faults of a scene: open meshes, wrong nesting, overlaps, and surfaces outside the field.
 
 print(pssf.check(scene, protocol))
 
 # %%
-# A fault is described in one line. Here the canal is longer than the shaft:
+# Each fault is described in one line. In this example, the canal is longer than the shaft:
 
 too_long = trimesh.creation.cylinder(radius=9, height=236, sections=96)
 wrong = pssf.Scene([*scene.surfaces[:2], pssf.Surface(too_long, "marrow", "cortical_bone", "canal")])
@@ -76,7 +76,7 @@ print(pssf.check(wrong, protocol))
 # Simulate the scene
 # ------------------
 #
-# A scene has no labels, but path lengths are available: millimetres in each material, at every pixel.
+# A scene has no labels. Path lengths are available: the length of each ray in each material, in millimetres.
 
 radiograph = pssf.simulate(scene, protocol, rng=1, keep=("path_mm",))
 bone_mm = radiograph.kept["path_mm"]["cortical_bone"]
@@ -94,9 +94,9 @@ print("longest path through bone:", round(float(bone_mm.max()), 2), "mm")
 # An implant in a knee
 # --------------------
 #
-# ``build`` makes the solids of a knee. ``insert`` puts a closed mesh into them: every tissue that the mesh displaces
-# loses its volume. A material is a name of the package's table, or a formula such as ``Ti=90,Al=6,V=4@4.43`` (percent
-# by mass, density in g/cm3).
+# ``build`` makes the solids of a knee. ``insert`` adds a closed mesh, which displaces the tissues in its volume. A
+# material is a name from the package, or a formula such as ``Ti=90,Al=6,V=4@4.43`` (percent by mass, density in
+# g/cm3).
 
 screw = trimesh.creation.cylinder(radius=2.5, height=60, sections=48)
 screw.apply_transform(trimesh.transformations.rotation_matrix(np.pi / 2, [0, 1, 0]))
@@ -121,9 +121,9 @@ for axis, one, title in zip(axes, (before, after), ("before", "after"), strict=T
 # -----------------
 #
 # The screw does not touch the joint, so the joint space is unchanged. Labels that an operation makes meaningless are
-# absent, and a :class:`pssf.SurgeryNotice` says which.
+# removed, and a :class:`pssf.SurgeryNotice` lists them.
 
 print(before.truth.jsw_medial_mm == after.truth.jsw_medial_mm)
 
 # %%
-# A total knee replacement with resections is in the gallery: :doc:`/auto_gallery/index`.
+# The gallery shows a total knee replacement with resections: :doc:`/auto_gallery/index`.

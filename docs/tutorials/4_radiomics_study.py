@@ -3,26 +3,26 @@ r"""
 =====================================
 
 In this lesson you run a small radiomics study and read its report. The study has 8 knees and two families of
-features, so that this page is built in one or two minutes. Its numbers mean nothing. **For the full size, run the
-command of the last section.**
+features, so this page is built in one or two minutes. The study is too small for valid results. **For the full size,
+run a command of the last section.**
 """
 
 # %%
 # What a study does
 # -----------------
 #
-# A study makes a cohort, finds the medial joint line in every radiograph, measures radiomic features of a region
-# there, trains and tests models, and writes tables and a report. Subjects are split, never radiographs, so that both
-# knees of a subject are in one part.
+# A study makes a cohort, finds the medial joint line in every radiograph, measures radiomic features of a region at
+# the joint line, trains and tests models, and writes tables and a report. Data are split by subject, so both knees of
+# a subject are in the same set.
 #
 # Run it
 # ------
 #
 # ``make_experiment`` makes the radiographs, ``run_experiment`` runs the study. ``knees`` are the numbers of knees of
-# grade 0, 1 and 2. Whatever is left out costs no time: here one protocol, one selection of features and one
-# classifier.
+# grade 0, 1 and 2. Parts that are left out take no run time. This example has one protocol, one feature selection and
+# one classifier.
 
-# sphinx_gallery_thumbnail_path = '../examples/robustness.png'
+# sphinx_gallery_thumbnail_path = 'validation/tables/robustness.png'
 import re
 import tempfile
 from pathlib import Path
@@ -39,15 +39,16 @@ execution = Execution(workers=1)
 experiment = make_experiment(
     work,
     execution,
-    preset="quick",
-    seed=0,
-    engine="scanline",
-    cohort={"knees": [4, 0, 4], "protocols": ["reference"], "matrix": MATRIX, "retested": 0, "repeats": 3},
-    settings={
-        "families": ("firstorder", "shape2D"),
-        "selections": ("l1",),
-        "models": ("lr",),
-        "region_px": MATRIX // 4,
+    {
+        "preset": "quick",
+        "knees": [4, 0, 4],
+        "protocols": ["reference"],
+        "matrix": MATRIX,
+        "retested": 0,
+        "repeats": 3,
+        "families": ["firstorder", "shape2D"],
+        "selections": ["l1"],
+        "models": ["lr"],
         "replicates": 100,
     },
 )
@@ -55,21 +56,21 @@ result = run_experiment(experiment, execution)
 print("report:", result.report.name)
 
 # %%
-# What it writes
-# --------------
+# Output of the study
+# -------------------
 #
-# The folder has the report, one CSV per table, and the figures. Every column is described in
+# The output folder contains the report, one CSV file per table, and the figures. Every column is described in
 # :doc:`/reference/columns`.
 
 for _, path in sorted(result.tables.items()):
     print(f"{path.name:32}", *list(pd.read_csv(path, nrows=0).columns)[:5], "...")
 
 # %%
-# Where the joint was found
+# Localisation of the joint
 # -------------------------
 #
-# The true position of the joint line is known, so that the error of the localisation is measured. The models do not
-# use the true position.
+# The true position of the joint line is known, so the localisation error can be measured. The models do not use the
+# true position.
 
 print(result.localisation.iloc[:, :8].to_string())
 
@@ -87,8 +88,8 @@ print(result.scores[columns].head(6).round(2).to_string())
 # Features and parameters
 # -----------------------
 #
-# Only a simulator knows the parameters of every knee. The table of correlations shows which parameter a feature
-# follows.
+# In a simulator, all parameters of every knee are known. The next table lists the strongest correlations between
+# features and parameters.
 
 follows = pd.read_csv(next(path for path in result.tables.values() if "correlations" in path.name))
 strongest = follows.reindex(follows["rho"].abs().sort_values(ascending=False).index)
@@ -98,15 +99,15 @@ print(strongest.head(8).round(2).to_string(index=False))
 # The report
 # ----------
 #
-# ``report.html`` is one page that needs no network. It has the sections below; :doc:`/explanation/statistics`
-# explains how its intervals are computed and when a claim counts as decided.
+# ``report.html`` is one page that needs no network. The next lines list its sections. :doc:`/explanation/statistics`
+# explains how intervals are computed and how claims are decided.
 
 text = result.report.read_text(encoding="utf-8")
 for heading in re.findall(r"<h2[^>]*>(.*?)</h2>", text, re.DOTALL):
     print("-", re.sub(r"<[^>]+>", "", heading).strip())
 
 # %%
-# Its figures are also files. This one shows how the importance of the features is distributed:
+# The figures of the report are also PNG files. The following figure shows the importance of the features:
 
 print(*sorted(result.pictures))
 figure, axis = plt.subplots(figsize=(8, 5), layout="constrained")
@@ -124,6 +125,7 @@ axis.set_axis_off()
 #
 #    $ pssf study --preset quick --out runs/quick
 #    $ pssf study --preset paper --out runs/paper
-#    $ pssf study --preset population --curve-knees 24 --sobol-samples 64 --sensitivity-knees 20 --out runs/population
+#    $ pssf study --preset population --out runs/population
 #
-# Give the same command again to continue a run that was stopped.
+# :doc:`/how_to/study_settings_file` describes all other settings. Repeat a command to continue a run that was
+# stopped.

@@ -56,7 +56,7 @@ from .trabeculae.trabecular_density import BONES
 class BuiltKnee(SurgicalMethods):
     """A knee with its surfaces, from which all labels are measured.
 
-    Construct it with `build`. The object is immutable: its labels always belong to its scene.
+    Construct it with `build`. The object is immutable, so its labels always match its scene.
 
     Attributes
     ----------
@@ -68,17 +68,17 @@ class BuiltKnee(SurgicalMethods):
         Bones at template size and their pose.
     bones : dict of str to Bone
         Solids of femur, tibia, fibula and patella, and of the fabella if present. They are in the frame of the leg, in
-        mm, before it is rotated and mirrored as `assembly` specifies. Surgery does not change them.
+        mm, before the rotation and mirroring that `assembly` specifies. Surgery does not change these solids.
     cysts : dict of str to list of CystSolids
         Cysts of each bone in the frame of the leg, before surgery.
     attrition : Mapping of str to float, or None
         Depth of wear of the medial and lateral plateau, in mm; None if it has not been measured yet.
     beam_range_deg : tuple of float
-        Least and greatest tilt of the central ray, in degrees.
+        Smallest and largest allowed tilt of the central ray, in degrees.
     oarsi_thresholds : OarsiThresholds
         Thresholds that convert measurements to OARSI grades.
     surgery : tuple of SurgicalStep
-        Insertions and resections in their order.
+        Insertions and resections, in the order of the operations.
     """
 
     knee: Knee
@@ -91,7 +91,7 @@ class BuiltKnee(SurgicalMethods):
     oarsi_thresholds: OarsiThresholds
     surgery: tuple[SurgicalStep, ...] = ()
 
-    # Earlier names, for one version.
+    # Earlier names of these methods stay valid for one version.
     truth_in = renamed_attribute("compute_truth_in_view")
     measured_jsw_mm = renamed_attribute("measure_jsw_mm")
     osteophytes = renamed_attribute("osteophyte_meshes")
@@ -113,7 +113,7 @@ class BuiltKnee(SurgicalMethods):
         Raises
         ------
         InputError
-            If the protocol aligns the beam with the plateau and no beam angle achieves this.
+            If the protocol requests a beam along the plateau and no allowed beam angle is parallel to the plateau.
         """
         aimed = self.aim_beam(protocol)
         return replace(
@@ -136,7 +136,7 @@ class BuiltKnee(SurgicalMethods):
         Warns
         -----
         SurgeryNotice
-            If surgery makes labels meaningless; they are absent.
+            If surgery makes labels meaningless. The result lacks these labels.
         """
         return (
             compute_labels_after_surgery(self, view)
@@ -145,12 +145,12 @@ class BuiltKnee(SurgicalMethods):
         )
 
     def compute_labels(self, scene: Scene, solids: dict[str, Bone], view: View) -> Truth:
-        """Measure the labels in a view for given surfaces and bones, without regard to surgery.
+        """Measure the labels in a view for given surfaces and bones, ignoring surgery.
 
         Parameters
         ----------
         scene : Scene
-            Scene that holds the outer femur and tibia.
+            Scene that contains the outer surfaces of femur and tibia.
         solids : dict of str to Bone
             Solids of the bones in the frame of the leg, in mm.
         view : View
@@ -180,7 +180,7 @@ class BuiltKnee(SurgicalMethods):
         }
 
     def aim_beam(self, protocol: Protocol) -> Protocol:
-        """Align the beam of a protocol with the medial plateau of this knee, if the protocol asks for it.
+        """Align the beam with the medial plateau of this knee if the protocol requests an aligned beam.
 
         Parameters
         ----------
@@ -190,12 +190,12 @@ class BuiltKnee(SurgicalMethods):
         Returns
         -------
         Protocol
-            Protocol with the beam angle for this knee, or the same protocol if its beam is horizontal.
+            Protocol with the beam angle for this knee, or `protocol` itself if its beam is horizontal.
 
         Raises
         ------
         InputError
-            If no beam angle within `beam_range_deg` follows the plateau.
+            If no beam angle within `beam_range_deg` is parallel to the plateau.
         """
         if protocol.beam_along == "horizontal":
             return protocol
@@ -228,8 +228,8 @@ class BuiltKnee(SurgicalMethods):
 
     @cached_property
     def _attrition_by_side_mm(self) -> Mapping[str, float]:
-        """Depth of wear per side, in mm."""
-        # It is measured in the pose that defines JSW and is therefore the same for every protocol.
+        """Depth of wear of the medial and the lateral plateau, in mm."""
+        # The wear is measured in the pose that defines JSW, so it is the same for every protocol.
         return measure_attrition_mm(self.assembly) if self.attrition is None else self.attrition
 
     def measure_jsw_mm(self, protocol: Protocol) -> tuple[float, float]:
@@ -282,8 +282,8 @@ class BuiltKnee(SurgicalMethods):
         Returns
         -------
         dict of str to Mesh
-            Closed surface of each bone, osteophyte, site with cysts and implant in the knee frame, in mm. Bones are as
-            surgery leaves them; a bone that is removed entirely is absent.
+            Closed surface of each bone, osteophyte, cyst site and implant in the knee frame, in mm. Bones are given
+            after surgery; a bone that is removed entirely is absent.
         """
         solids = {surface.name: surface.mesh_arrays for surface in self.scene.surfaces if surface.name in BONES}
         solids |= {f"{site}_osteophyte": mesh for site, mesh in self.osteophyte_meshes().items()}
@@ -294,11 +294,11 @@ class BuiltKnee(SurgicalMethods):
         return self
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "BuiltKnee":
-        return self  # The object is immutable.
+        return self  # The object is immutable, so a copy would be identical.
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Solids of manifold3d cannot be pickled. The other process builds them again by the same steps, to the same
-        # bytes. A scene is pickled only if it differs from the one that `build` makes.
+        # Solids of manifold3d cannot be pickled. The receiving process builds the solids again by the same steps and
+        # obtains the same bytes. A scene is pickled only if it differs from the scene that `build` makes.
         own = self.__dict__.get("_scene_as_built") is self.scene
         return build_in_posture, (self.knee, self.assembly.posture, None if own else self.scene, self.surgery)
 
@@ -329,7 +329,7 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
     Raises
     ------
     InputError
-        If `knee` is not a Knee or `protocol` is not a Protocol. Also if parameters leave too little room for a solid;
+        If `knee` is not a Knee or `protocol` is not a Protocol. Also if parameters leave too little space for a solid;
         the message names these parameters.
 
     Examples
@@ -352,7 +352,7 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
 def build_in_posture(
     knee: Knee, posture: Posture, replacement_scene: Scene | None = None, surgery: tuple[SurgicalStep, ...] = ()
 ) -> BuiltKnee:
-    """Build a knee in a posture, optionally with another scene and its surgery.
+    """Build a knee in a posture, and optionally replace its scene by the scene after surgery.
 
     Parameters
     ----------
@@ -361,7 +361,7 @@ def build_in_posture(
     posture : Posture
         Posture and projection.
     replacement_scene : Scene, optional
-        Scene that replaces the one that is built. None keeps the built scene and ignores `surgery`.
+        Scene that replaces the built scene. None keeps the built scene and ignores `surgery`.
     surgery : tuple of SurgicalStep, optional
         Surgical steps that led to `replacement_scene`.
 
@@ -373,12 +373,12 @@ def build_in_posture(
     Raises
     ------
     InputError
-        If the parameters leave too little room for a solid.
+        If the parameters leave too little space for a solid.
     """
     form = resolve_bone_parameters(knee, load_anatomy_tables())
     bone_shells.prepare_template_bones(form)
-    # The pool runs only work that creates no solid of the scene. With solids from two threads, the order of their
-    # triangles would vary from run to run.
+    # The thread pool runs only functions that create no solid of the scene. If two threads created solids, the order of
+    # the triangles would vary from run to run.
     with ThreadPoolExecutor(2) as aside:
         shells = aside.submit(bone_shells.compute_cortex_depths_mm, form)
         assembly = assemble_knee(knee, form, posture, load_jsw_protocol(knee))
@@ -403,7 +403,10 @@ def build_in_posture(
 
 
 def _find_attrition_mm(knee: Knee, assembly: KneeAssembly, is_worn: bool) -> Mapping[str, float] | None:
-    """Measure the wear of each side, in mm, if cysts need it or no bone is worn; otherwise return None."""
+    """Return the wear of the medial and lateral plateau, in mm, or None if the wear is not needed yet.
+
+    If no bone is worn, the wear is 0 without a measurement. Otherwise, the wear is measured only if the knee has cysts.
+    """
     now, defined = assembly.pose.femur_to_tibia_transform(), assembly.jsw_pose.femur_to_tibia_transform()
     if not is_worn and np.array_equal(now, defined):
         return {"medial": 0.0, "lateral": 0.0}
@@ -418,7 +421,7 @@ def _build_surfaces(
     cartilage: "Future[tuple[CoveredBone, CoveredBone]]",
     executor: Executor,
 ) -> list[Surface]:
-    """Build all surfaces of the scene; containers come before their contents."""
+    """Build all surfaces of the scene; every surface comes after the surface that encloses it."""
     shape, pose = assembly.bone_parameters, assembly.pose
     solids = {name: part.solids for name, part in placed_bones.items()}
     points_mm = np.vstack([part.outer.to_mesh64().vert_properties[:, :3] for part in solids.values()])
@@ -465,5 +468,5 @@ def _make_surface(
 def _make_oriented_surface(
     mesh: Mesh, inside: str, outside: str, name: str, assembly: KneeAssembly, **densities: Density
 ) -> Surface:
-    """Make a surface from a mesh, rotated and mirrored for the view and side of the knee."""
+    """Rotate and mirror a mesh for the view and the side of the knee, and make a surface from it."""
     return Surface(assembly.orient_mesh(mesh), inside=inside, outside=outside, name=name, **densities)

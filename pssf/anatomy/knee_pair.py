@@ -20,7 +20,7 @@ SIDES = ("right", "left")
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class BuiltPair:
-    """Both knees as one scene, with the right knee on the left of the image, as radiographs are displayed.
+    """Both knees in one scene, with the right knee on the left of the image as on a displayed radiograph.
 
     Construct it with `build_pair`.
 
@@ -31,7 +31,7 @@ class BuiltPair:
     scene : Scene
         Surfaces of both knees, named ``"right_femur"`` and so on, in mm.
     knee_distance_mm : float
-        Distance between the origins of both knees, in mm.
+        Distance between the origins of the two knees, in mm.
     """
 
     knees: tuple[BuiltKnee, BuiltKnee]
@@ -53,7 +53,7 @@ class BuiltPair:
         """
         view = resolve_view(protocol)
         right, left = (
-            # Shifting source and detector the opposite way gives the same projection as shifting the knee.
+            # Shifting source and detector in the opposite direction gives the same projection as shifting the knee.
             replace(
                 built.compute_truth_in_view(
                     replace(
@@ -74,7 +74,7 @@ class BuiltPair:
         right : dict of str to Mesh
             Closed surface of each bone and osteophyte of the right knee in the frame of the scene, in mm.
         left : dict of str to Mesh
-            The same for the left knee.
+            Closed surface of each bone and osteophyte of the left knee in the frame of the scene, in mm.
         """
         right, left = (
             {name: _shift_mesh(mesh, x) for name, mesh in built.part_meshes().items()}
@@ -84,7 +84,7 @@ class BuiltPair:
 
 
 def build_pair(right: Knee | BuiltKnee, left: Knee | BuiltKnee, protocol: Protocol) -> BuiltPair:
-    """Build both knees of a patient in the posture of a protocol and at its distance.
+    """Build both knees of a patient in the posture and at the knee distance of a protocol.
 
     Parameters
     ----------
@@ -103,13 +103,13 @@ def build_pair(right: Knee | BuiltKnee, left: Knee | BuiltKnee, protocol: Protoc
     Raises
     ------
     InputError
-        If the knees are not a right and a left one, or if the legs overlap. Also if the protocol is for one knee or
-        aligns its beam with a plateau.
+        If `right` is not a right knee or `left` is not a left knee, or if the legs overlap. Also if the protocol is for
+        one knee or aligns its beam with a plateau.
     """
     for knee, side in zip((right, left), SIDES, strict=True):
         if not isinstance(knee, Knee | BuiltKnee) or _unwrap_knee(knee).side != side:
             what = _unwrap_knee(knee).side if isinstance(knee, Knee | BuiltKnee) else type(knee).__name__
-            raise InputError(f"knees must be a right and a left Knee in this order, got {what} as the {side} one")
+            raise InputError(f"knees must be a right and a left Knee in this order, got {what} as the {side} knee")
     if not protocol.knee_distance_mm:
         raise InputError(
             f"knee_distance_mm must be above 0 mm for two knees, got 0 mm: use another protocol than {protocol.name}"
@@ -130,12 +130,12 @@ def build_pair(right: Knee | BuiltKnee, left: Knee | BuiltKnee, protocol: Protoc
 
 
 def _unwrap_knee(knee: Knee | BuiltKnee) -> Knee:
-    """Return the parameters of a knee that may be built."""
+    """Return the parameters of a knee that is given as a Knee or a BuiltKnee."""
     return knee.knee if isinstance(knee, BuiltKnee) else knee
 
 
 def _compute_origins_x_mm(knee_distance_mm: float) -> tuple[float, float]:
-    """Return x of the origins of the right and the left knee, in mm."""
+    """Return the x coordinates of the origins of the right and the left knee, in mm."""
     return -knee_distance_mm / 2, knee_distance_mm / 2
 
 
@@ -154,7 +154,8 @@ def _shift_surfaces(built: BuiltKnee, x_mm: float) -> list[Surface]:
     known: dict[int, Density] = {}
 
     def moved(density: Density | None) -> Density | None:
-        # Surfaces that share a density keep sharing it, because an engine integrates them together.
+        # Surfaces with a common density object also share its shifted copy, because an engine integrates such surfaces
+        # together.
         return density and known.setdefault(id(density), TranslatedDensity(density=density, offset_mm=(x_mm, 0.0, 0.0)))
 
     side = built.knee.side

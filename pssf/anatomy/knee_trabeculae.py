@@ -9,7 +9,7 @@ from .trabeculae.trabecular_density import Trabeculae, build_trabeculae, make_st
 
 
 def make_texture(knee: Knee) -> None:
-    """Compute the trabecular struts of a knee and keep them for ray casting.
+    """Compute the trabecular struts of a knee and cache them for ray casting.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def build_bone_texture(
     assembly : KneeAssembly
         Bones of the knee in their pose.
     frame : (3, 4) float64 array, mm
-        Transform from the frame of the bone to that of the leg.
+        Transform from the frame of the bone to the frame of the leg.
 
     Returns
     -------

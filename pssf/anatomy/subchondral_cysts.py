@@ -18,34 +18,34 @@ from .posture.attrition import measure_attrition_mm
 from .posture.knee_assembly import KneeAssembly
 from .template.bone_builder import scale_and_lean_femur, scale_slope_and_lean_tibia
 
-# Thickness of the cortical wall, in mm (assumed: patient radiographs show a thin rim around a dark cyst, and a thicker
-# wall would make the cyst appear bright).
+# Thickness of the cortical wall, in mm (assumed). Patient radiographs show a thin rim around a dark cyst. A thicker
+# wall would make the cyst appear bright.
 WALL_MM = 0.3
-# Least distance of a wall from the boundary of the trabecular bone and from other walls, in mm.
+# Smallest distance of a cyst wall from the boundary of the trabecular bone and from other cyst walls, in mm.
 _CLEARANCE_MM = 0.3
-# A cyst is placed at the least possible depth below the subchondral bone plate. Step of the search, in mm.
+# Step of the search for the smallest possible depth of a cyst below the subchondral bone plate, in mm.
 _STEP_MM = 0.25
-# Greatest depth of the search, in mm.
+# Largest depth of this search, in mm.
 _DEEPEST_MM = 16.0
-# Where a tapering bone has no room, the search moves inwards by these fractions of the way to `_INNERMOST`.
+# Inward shifts of the search where a tapering bone has too little space, as fractions of the distance to `_INNERMOST`.
 _INWARDS = (0.0, 0.125, 0.25, 0.375, 0.5, 0.75, 1.0)
-# Innermost location of the search, in the measure of `Cyst.outward`.
+# Innermost location of the search, on the scale of `Cyst.outward`, dimensionless.
 _INNERMOST = 0.3
-# Additional depth below a worn plateau, in mm, because other postures wear it slightly differently.
+# Additional depth of a cyst below a worn plateau, in mm. The depth of wear differs slightly between postures.
 _WEAR_MARGIN_MM = 1.0
-# Height of the layer, from the point nearest to the joint, that gives the sagittal range of a compartment, in mm.
+# Height of the bone layer at the joint surface in which the antero-posterior range of a compartment is measured, in mm.
 _LAYER_MM = 8.0
-# Half width of the strip of vertices that is used for this, in mm.
+# Half width of the sagittal strip of vertices in which this range is measured, in mm.
 _BESIDE_MM = 4.0
-# A `Cyst.place` of -1 or +1 is at this fraction of half the sagittal range.
+# Position of a cyst whose `Cyst.place` is -1 or +1, as a fraction of half the antero-posterior range.
 _PLACE_FRACTION = 0.6
-# Segments of a great circle. The mesh has 0.6 % less volume than the sphere.
+# Segments per great circle of a sphere mesh. The mesh has 0.6 % less volume than the sphere.
 _SPHERE_SEGMENTS = 64
 
 
 @dataclass(frozen=True)
 class CystSolids:
-    """Solids of one cyst in the frame of the leg, before it is mirrored.
+    """Solids of one cyst in the frame of the leg, before the leg is mirrored.
 
     Attributes
     ----------
@@ -70,14 +70,14 @@ def place_cysts(
     Parameters
     ----------
     knee : Knee
-        Parameters of the knee, which list its cysts.
+        Parameters of the knee, including its cysts.
     assembly : KneeAssembly
         Bones of the knee in their pose.
     bones : dict of str to Bone
         Solids of the bones in the frame of the leg, in mm.
     worn_mm : Mapping of str to float, optional
-        Depth of wear of the medial and lateral plateau, in mm; None means that it is measured here. Cysts below a worn
-        plateau are deeper.
+        Depth of wear of the medial and lateral plateau, in mm. None means that the function measures the wear. Cysts
+        below a worn plateau are deeper.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def place_cysts(
     Raises
     ------
     InputError
-        If a bone has no room for a cyst.
+        If a bone has too little space for a cyst.
     """
     if not knee.cysts:
         return {}
@@ -107,7 +107,7 @@ def place_cysts(
 
 
 def build_cyst_meshes(cysts: dict[str, list[CystSolids]], assembly: KneeAssembly) -> dict[str, Mesh]:
-    """Build one mesh of the cysts with their walls at each site.
+    """Build one mesh per site of the cysts, including their walls.
 
     Parameters
     ----------
@@ -132,8 +132,9 @@ def build_cyst_meshes(cysts: dict[str, list[CystSolids]], assembly: KneeAssembly
 class _JointEnd:
     """Joint end of a bone before wear.
 
-    `outer_mm` (n, 3) are the outer vertices in the frame of the bone. `frame` (3, 4) transforms them to the leg.
-    `joint_sign` is the direction of the joint along z. `half_ml_mm` is half the width of the plateau.
+    `outer_mm` (n, 3) are the outer vertices in the frame of the bone. `frame` (3, 4) is the transform from the frame of
+    the bone to the frame of the leg. `joint_sign` is +1 if the joint is above the bone along z, else -1. `half_ml_mm`
+    is half the width of the plateau.
     """
 
     outer_mm: Array
@@ -142,7 +143,7 @@ class _JointEnd:
     half_ml_mm: float
 
     def column_start_mm(self, cyst: Cyst, inwards: float) -> Array:
-        """Return the point (3,) on the surface of the bone, in its own frame, from which a cyst depth is measured.
+        """Return the surface point (3,), in the frame of the bone, from which the depth of a cyst is measured.
 
         `inwards` (0 to 1) moves the point from the specified location towards the centre of the compartment.
         """
@@ -160,9 +161,9 @@ class _JointEnd:
 def _place_cyst(
     cyst: Cyst, bone: Bone, joint: _JointEnd, worn_mm: float, earlier_cysts: list[CystSolids]
 ) -> CystSolids:
-    """Place a cyst at the first location with room, clear of the bone plate, the canal and earlier cysts.
+    """Place a cyst at the first location that is clear of the bone plate, the canal and earlier cysts.
 
-    `worn_mm` is added to the depth. The cyst then has the same location in the bone in all postures.
+    `worn_mm` is added to the depth. The cyst therefore has the same location in the bone in all postures.
     """
     radius = cyst.diameter_mm / 2 + WALL_MM
     around = [bone.inner, *_list_obstacles(bone, earlier_cysts)]
@@ -172,7 +173,8 @@ def _place_cyst(
     centres = np.vstack(
         [apply_transform(joint.column_start_mm(cyst, share) - depths, joint.frame) for share in _INWARDS]
     )
-    # The distance to vertices only preselects candidates, since faces may be nearer. The solids decide.
+    # The distance to vertices only preselects candidates, because faces may be nearer. The Boolean test of the solids
+    # decides.
     for centre in centres[walls.query(centres)[0] >= radius + _CLEARANCE_MM]:
         at = tuple(centre)
         if _has_room(wall.translate(at), bone, earlier_cysts):
@@ -184,7 +186,7 @@ def _place_cyst(
 
 
 def _has_room(wall: Manifold, bone: Bone, earlier_cysts: list[CystSolids]) -> bool:
-    """Report whether a wall lies within the trabecular bone, outside the canal and earlier cysts."""
+    """Test whether a cyst wall is inside the trabecular bone, and outside the canal and earlier cysts."""
     left = (wall - bone.inner).volume() > 0
     return not left and not any((wall ^ other).volume() > 0 for other in _list_obstacles(bone, earlier_cysts))
 

@@ -1,9 +1,9 @@
 """Surgery: implants inserted into a built knee and bone resected from it by Boolean operations.
 
-Every surface that intersects an implant loses the volume of the implant, and the implant has its own surface. All
+The volume of an implant is subtracted from every surface that intersects it, and the implant gets its own surface. All
 surfaces therefore stay closed and nested, and ray casting, scatter simulation and exports need no special case.
-Surfaces that contain the implant entirely stay unchanged. The innermost of them gives the material that surrounds the
-implant, and its density.
+Surfaces that contain the implant entirely stay unchanged. The innermost of these surfaces determines the material and
+the density around the implant.
 """
 
 import re
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
     from ..model.radiograph import Truth
 
 
-# Bodies of one mesh overlap if they share more than this volume, in mm3; less is rounding error.
+# Largest volume that connected components of one mesh may share because of rounding errors, in mm3.
 _MAX_OVERLAP_MM3 = 1e-6
-# Pieces up to this volume are splinters, in mm3. They are thinner than the rounding error of a path length.
+# Pieces up to this volume, in mm3, are removed as splinters. They are thinner than the rounding error of a path length.
 _SPLINTER_MM3 = 1e-7
-# Names of implants and resections.
+# Pattern of allowed names of implants and resections.
 _NAME_PATTERN = r"[A-Za-z0-9][\w-]{0,49}"
-# Suffixes of the mask names of osteophytes and cysts.
+# Suffixes of the mask names of osteophytes and cysts; names of implants must not end with them.
 _RESERVED_SUFFIXES = ("_osteophyte", "_cyst")
 # Surfaces of the menisci, which a resection removes together with bone.
 _MENISCI = ("medial_meniscus", "lateral_meniscus")
@@ -73,7 +73,7 @@ class SurgicalStep:
         return _convert_to_solid(self.surface)
 
     def __getstate__(self) -> dict[str, Any]:
-        # Solids of manifold3d cannot be pickled. The other process makes the solid again.
+        # Solids of manifold3d cannot be pickled. The receiving process builds the solid again.
         return {name: value for name, value in self.__dict__.items() if name != "solid"}
 
     def table(self) -> dict[str, Any]:
@@ -109,12 +109,12 @@ class SurgicalMethods:
 
     @cached_property
     def remaining_bones(self) -> dict[str, Bone]:
-        """Bones like `bones`, without the volume that surgery has removed from their outer solids."""
+        """Bones after surgery: `bones` without the volume that surgery has removed from the outer solids."""
         mirror, turn = np.array(self.assembly.mirror), self.assembly.view_rotation
         left = dict(self.bones)
         for step in self.surgery:
             vertices, faces = extract_mesh(step.solid)
-            # Invert `KneeAssembly.orient_points`.
+            # These operations invert `KneeAssembly.orient_points`.
             points = vertices * mirror if turn is None else (vertices * mirror) @ turn
             taken = build_solid(points, faces if np.prod(mirror) > 0 else faces[:, ::-1], step.name)
             for name, bone in left.items():
@@ -146,8 +146,9 @@ class SurgicalMethods:
         Parameters
         ----------
         mesh : trimesh.Trimesh or Mesh
-            Closed surface in mm in the frame of the scene, where a left knee is the mirror image of a right one. It is
-            checked and repaired like every mesh of a scene. Its bodies must not overlap.
+            Closed surface in the frame of the scene, in mm. In this frame, a left knee is the mirror image of a right
+            knee. The mesh is checked and repaired like every mesh of a scene. Its connected components must not
+            overlap.
         material : str
             Material as in `Surface`, such as ``"titanium_alloy"``, ``"cobalt_chromium"``, ``"polyethylene"``,
             ``"bone_cement"`` or ``"Ti@4.51"``.
@@ -158,12 +159,12 @@ class SurgicalMethods:
         Returns
         -------
         BuiltKnee
-            New knee with the implant. Labels that the implant makes meaningless are absent from its truth.
+            New knee with the implant. Labels that the implant makes meaningless are absent from its `truth`.
 
         Raises
         ------
         InputError
-            If the mesh does not bound a solid, its bodies overlap, or the name is in use.
+            If the mesh does not bound a solid, its connected components overlap, or the name is in use.
 
         Warns
         -----
@@ -189,9 +190,9 @@ class SurgicalMethods:
         Parameters
         ----------
         mesh : trimesh.Trimesh or Mesh
-            Closed surface of the volume, in mm, as in `insert`. Implants within it are kept.
+            Closed surface of the volume, in mm, with the requirements of `insert`. Implants inside the volume are kept.
         name : str, default "resection"
-            Name of the step in `Radiograph.surgery`, as in `insert`.
+            Name of the step in `Radiograph.surgery`, with the requirements of `insert`.
 
         Returns
         -------
@@ -201,7 +202,7 @@ class SurgicalMethods:
         Raises
         ------
         InputError
-            As in `insert`, and if the volume contains no bone, cartilage or meniscus.
+            If `insert` would reject the mesh or the name, or if the volume contains no bone, cartilage or meniscus.
         """
         step = SurgicalStep(surface=_make_user_surface(self, mesh, "muscle", name), material=None)
         scene = resect_bone(self.scene, step, {one.name for one in self.surgery})
@@ -221,7 +222,7 @@ def insert_body(scene: Scene, step: SurgicalStep) -> Scene:
     scene : Scene
         Scene of the knee.
     step : SurgicalStep
-        Step with a material.
+        Insertion of an implant: a step with a material.
 
     Returns
     -------
@@ -245,7 +246,8 @@ def insert_body(scene: Scene, step: SurgicalStep) -> Scene:
             met[number] = host
             if _subtract_solid(body, host, step.name).is_empty():
                 around[number] = host.volume()
-    # Go through the surfaces around the implant from outside to inside, while each is nested in the one before.
+    # Visit the surfaces around the implant from outside to inside. A surface is used if the previous surface directly
+    # encloses it.
     outside, density = scene.ambient, None
     for number in sorted(around, key=lambda number: -around[number]):
         surface = scene.surfaces[number]
@@ -266,9 +268,9 @@ def resect_bone(scene: Scene, step: SurgicalStep, implants: Iterable[str] = ()) 
     scene : Scene
         Scene of the knee.
     step : SurgicalStep
-        Step without a material.
+        Resection: a step without a material.
     implants : iterable of str, optional
-        Names of surfaces that are kept.
+        Names of the implants, whose surfaces are kept.
 
     Returns
     -------
@@ -281,7 +283,8 @@ def resect_bone(scene: Scene, step: SurgicalStep, implants: Iterable[str] = ()) 
         If the volume intersects no bone, cartilage or meniscus.
     """
     kept, left = set(implants), {}
-    # Keep the bone at an implant: the surface of the implant states that this bone surrounds it.
+    # The resected volume excludes the implants, because each implant surface records the bone around it as outside
+    # material.
     bodies = [_convert_to_solid(surface) for surface in scene.surfaces if surface.name in kept]
     volume = Manifold.batch_boolean([step.solid, *bodies], manifold3d.OpType.Subtract)
     for number, surface in enumerate(scene.surfaces):
@@ -293,7 +296,7 @@ def resect_bone(scene: Scene, step: SurgicalStep, implants: Iterable[str] = ()) 
     if not left:
         low, high = step.surface.bounds_mm.round(1).tolist()
         raise InputError(
-            f"{step.name}: mesh must intersect bone, cartilage or a meniscus, got none from {low} to {high} mm"
+            f"{step.name}: mesh must intersect bone, cartilage or a meniscus, got none between {low} and {high} mm"
         )
     return replace_surfaces(scene, left)
 
@@ -306,9 +309,9 @@ def replace_surfaces(scene: Scene, remaining: dict[int, Manifold], *new_surfaces
     scene : Scene
         Scene of the knee.
     remaining : dict of int to Manifold
-        Solid that remains of each changed surface, by its index. A surface with an empty solid is removed.
+        Remaining solid of each changed surface, keyed by surface index. A surface with an empty solid is removed.
     *new_surfaces : Surface
-        Surfaces that are appended.
+        Surfaces to append.
 
     Returns
     -------
@@ -326,12 +329,12 @@ def replace_surfaces(scene: Scene, remaining: dict[int, Manifold], *new_surfaces
 
 
 def apply_surgery_to_parts(solids: dict[str, Mesh], scene: Scene, steps: Sequence[SurgicalStep]) -> dict[str, Mesh]:
-    """Remove the volume of surgical steps from the parts of a knee and add its implants.
+    """Subtract the volume of surgical steps from the part meshes of a knee, and add the implants.
 
     Parameters
     ----------
     solids : dict of str to Mesh
-        Closed surface of each part in the knee frame, in mm.
+        Closed surface of each bone, osteophyte and cyst site in the knee frame, in mm.
     scene : Scene
         Scene after surgery.
     steps : sequence of SurgicalStep
@@ -340,7 +343,7 @@ def apply_surgery_to_parts(solids: dict[str, Mesh], scene: Scene, steps: Sequenc
     Returns
     -------
     dict of str to Mesh
-        Remaining parts and implants; parts that are removed entirely are absent.
+        Remaining meshes and implants; meshes that are removed entirely are absent.
     """
     left = {}
     for name, mesh in solids.items() if steps else ():
@@ -355,7 +358,7 @@ def apply_surgery_to_parts(solids: dict[str, Mesh], scene: Scene, steps: Sequenc
 
 
 def _make_user_surface(built: SurgicalMethods, mesh: Any, material: str, name: str) -> Surface:
-    """Check a mesh and a name given by the user and make a surface with its own copy of the arrays."""
+    """Check the mesh and the name given by the user, and make a surface with a copy of the arrays."""
     if (
         not isinstance(name, str)
         or not re.fullmatch(_NAME_PATTERN, name, re.ASCII)
@@ -376,13 +379,13 @@ def _make_user_surface(built: SurgicalMethods, mesh: Any, material: str, name: s
 
 
 def _require_disjoint_bodies(surface: Surface) -> None:
-    """Raise InputError if bodies of one mesh overlap, because rays would count the overlap twice."""
+    """Raise InputError if connected components of a mesh overlap, because rays would count the overlap twice."""
     bodies = [body for body in _convert_to_solid(surface).decompose() if body.volume() > 0]
     whole = sum(body.volume() for body in bodies)
     shared = whole - Manifold.batch_boolean(bodies, manifold3d.OpType.Add).volume()
     if len(bodies) > 1 and shared > _MAX_OVERLAP_MM3 + 1e-9 * whole:
         raise InputError(
-            f"{surface.name}: mesh must consist of bodies that do not overlap, got {len(bodies)} bodies that share "
+            f"{surface.name}: mesh must have connected components that do not overlap, got {len(bodies)} that share "
             f"{shared:.3g} mm3: insert them one by one or unite them"
         )
 

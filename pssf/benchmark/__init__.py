@@ -1,9 +1,9 @@
-"""Benchmark: a frozen data set with fixed splits and baselines, so that papers can be compared.
+"""Benchmark: a frozen data set with fixed splits and baselines, so that results of different papers are comparable.
 
-benchmark_maker  folder            -> images, splits, features, baselines, and the documents below
-image_hashes     images            -> one hash per subject, compared with the hashes that the package publishes
-datasheet        content           -> datasheet (Gebru et al. 2021) and citation file
-croissant        files             -> Croissant 1.0 metadata, for programs that load data sets
+benchmark_maker  output folder     -> images, splits, features, baselines, and all documents
+image_hashes     images            -> one hash per subject, for comparison with the published hashes
+datasheet        DatasheetContent  -> datasheet (Gebru et al. 2021) and citation file
+croissant        CSV files         -> Croissant 1.0 metadata, for programs that load data sets
 """
 
 from .benchmark_maker import BenchmarkResult, make_benchmark

@@ -1,4 +1,4 @@
-"""Make the benchmark data set: first the images, then splits, features, baselines and documents."""
+"""Make the benchmark data set: images, splits, features, baselines and documents."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -23,27 +23,28 @@ from .image_hashes import count_matching_hashes, format_hashes_toml, hash_subjec
 if TYPE_CHECKING:
     import pandas as pd
 
-# Tables that the Croissant metadata lists.
+# CSV files that the Croissant metadata describes.
 _TABLE_FILES = ("manifest.csv", "splits.csv", "features.csv", "baselines.csv", "predictions.csv")
-# Side of the region on the detector, in mm: 512 pixels of 0.15 mm, as in the study.
+# Side length of the region of interest on the detector, in mm: 512 pixels of 0.15 mm, as in the study.
 _REGION_MM = 512 * 0.15
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchmarkResult:
-    """Result of making the benchmark.
+    """Result of `make_benchmark`.
 
     Attributes
     ----------
     folder : Path
         Folder of the data set.
     baselines : DataFrame
-        One row per task, predictor and protocol of the test.
+        Scores of the baselines, with one row per task, predictor and test protocol.
     notes : tuple of str
-        Sentences on missing baselines, on splits that are too small, and on what predicts a grade without the image.
+        Notes on missing baselines, on splits that are too small, and on variables that predict the grade without the
+        image.
     hash_agreement : tuple of int
-        Number of subjects whose hash equals the published one, and number of subjects with a published hash. Both are 0
-        for another data set.
+        Number of subjects whose hash equals the published hash, and number of subjects with a published hash. Both are
+        0 for a changed data set.
     """
 
     folder: Path
@@ -56,14 +57,15 @@ def make_benchmark(
     out: Path,
     execution: Execution,
     *,
-    people: int = 0,
+    subjects: int = 0,
     overrides: Mapping[str, Any] | None = None,
     engine: str = "scanline",
 ) -> BenchmarkResult:
     """Make the benchmark data set: a cohort with splits, features, baselines and documents.
 
-    The folder holds what `cohort.make_cohort` writes, and splits.csv, features.csv, baselines.csv, predictions.csv,
-    datasheet.md, CITATION.cff, croissant.json and frozen.toml. An interrupted run continues in the same folder.
+    The folder contains the output of `cohort.make_cohort`, and splits.csv, features.csv, baselines.csv,
+    predictions.csv, datasheet.md, CITATION.cff, croissant.json and frozen.toml. If a run was interrupted, another call
+    with the same folder continues it.
 
     Parameters
     ----------
@@ -71,10 +73,11 @@ def make_benchmark(
         Folder of the data set.
     execution : Execution
         Workers, progress display and timer.
-    people : int, default 0
-        Number of subjects, equally many per grade, with the same images as in the whole data set; 0 makes all.
+    subjects : int, default 0
+        Number of subjects, distributed equally over the grades. Their images are the same as in the complete data set.
+        0 makes all subjects.
     overrides : mapping of str to object, optional
-        Entries that replace those of the preset, as for `cohort.plan_cohort`. The result is then another data set.
+        Entries that replace entries of the preset, as in `cohort.plan_cohort`. The result is then a different data set.
     engine : {"scanline", "embree"}, default "scanline"
         Ray caster.
 
@@ -86,10 +89,10 @@ def make_benchmark(
     Raises
     ------
     InputError
-        As raised by `cohort.make_cohort`; also if a grade has too few subjects to split, or no region is located to
-        train on.
+        Under the same conditions as in `cohort.make_cohort`. Also if a grade has too few subjects to split, or if no
+        region is located in any training radiograph.
     WorkersLostError
-        If workers are killed again and again.
+        If workers are killed repeatedly.
     """
     require_extra(execution.scheduler)
     from ..study.learn.subject_split import split_subjects
@@ -99,8 +102,8 @@ def make_benchmark(
 
     frozen = load_benchmark_definition()
     whole = plan_cohort(frozen.preset, seed=frozen.seed, overrides=overrides)
-    plan = select_subjects(whole, people) if people else whole
-    # Splitting the planned subjects first raises an error for too few of them before hours of work.
+    plan = select_subjects(whole, subjects) if subjects else whole
+    # The planned subjects are split first, so that too few subjects raise an error before hours of work.
     split_subjects(*zip(*((case.subject, case.knee.grade) for case in plan.cases), strict=True), seed=frozen.seed)
     with execution.stage("images", "radiographs", sum(len(case.exposures) for case in plan.cases)) as stage:
         how: dict[str, Any] = {"workers": execution.workers, "scheduler": execution.scheduler, "engine": engine}
@@ -133,15 +136,16 @@ def make_benchmark(
 def _compute_baselines(
     out: Path, manifest: "pd.DataFrame", frozen: BenchmarkDefinition, execution: Execution
 ) -> tuple["pd.DataFrame", int, tuple[str, ...]]:
-    """Write splits, features and predictions; return scores, the number of radiographs without a region, and notes."""
+    """Write splits, features and predictions; return scores, number of radiographs without a region, and notes."""
     from ..study.design.study_tables import load_study_tables
     from ..study.learn import benchmark_baselines as learning
-    from ..study.measurement import StudyContext, measure_features
+    from ..study.measurement import measure_features
     from ..study.predictions import ARM_COLUMNS
     from ..study.statistics.analyses.knee_parameters import extract_knee_parameters
     from ..study.statistics.scores import tested_subjects as tested
     from ..study.statistics.scores.confidence_intervals import compute_arm_intervals, compute_test_train_ratio
     from ..study.statistics.scores.split_scores import score_splits, summarise_scores
+    from ..study.study_data import StudyContext
 
     region_px = max(16, round(_REGION_MM / float(manifest["pixel_mm"].iloc[0])))
     settings = StudySettings(
@@ -175,7 +179,7 @@ def _compute_baselines(
 def _load_network_inputs(
     usable: "pd.DataFrame", load_pixels: Any, region_px: int, execution: Execution
 ) -> dict[str, NDArray[np.float32]]:
-    """Load the network input of every radiograph with a located region, by name of the radiograph."""
+    """Load the network input of every radiograph with a located region, keyed by the radiograph's name."""
     rows = usable[["file", "row_px", "col_px", "side"]].to_dict("records")
     with execution.stage("regions for the network", "radiographs", len(rows)) as stage:
         shown = map_in_parallel(
@@ -190,22 +194,22 @@ def _load_network_inputs(
 
 
 def prepare_network_input(row: Mapping[str, Any], *, load_pixels: Any, region_px: int) -> NDArray[np.float32]:
-    """Cut the region of one radiograph and convert it to the input of the network.
+    """Crop the region of interest of one radiograph and convert it to the input of the network.
 
     Parameters
     ----------
     row : mapping of str to object
         Columns file, row_px, col_px and side of one radiograph.
     load_pixels : callable
-        Entry of the column ``file`` -> (rows, cols) uint16 array, in DN.
+        Function from an entry of the column ``file`` to a (rows, cols) uint16 array, in DN.
     region_px : int
-        Side of the region, in pixels.
+        Side length of the region, in pixels.
 
     Returns
     -------
     (size, size) float32 array
-        Input as `study.learn.models.small_network.make_network_input` returns it, from the logarithm of the pixel
-        values.
+        Network input from the logarithm of the pixel values, as returned by
+        `study.learn.models.small_network.make_network_input`.
     """
     from ..radiomics.localisation.region_of_interest import cut_region
     from ..study.learn.models.small_network import make_network_input

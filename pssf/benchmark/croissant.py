@@ -1,13 +1,13 @@
-"""Croissant 1.0 metadata of the data set: JSON-LD of MLCommons (mlcommons.org/croissant/1.0)."""
+"""Croissant 1.0 metadata of the data set, a JSON-LD format of MLCommons (mlcommons.org/croissant/1.0)."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..data.analysis.benchmark_table import BenchmarkDefinition
 
-# Version of the standard that the metadata conforms to.
+# Standard to which the metadata conforms.
 CONFORMS_TO = "http://mlcommons.org/croissant/1.0"
-# Part of a split -> its identifier in the vocabulary of Croissant.
+# Subset of a split -> identifier in the Croissant vocabulary.
 _SPLIT_URLS = {"training": "cr:TrainingSplit", "validation": "cr:ValidationSplit", "test": "cr:TestSplit"}
 # Column of manifest.csv -> data type and description.
 _RADIOGRAPH_COLUMNS = {
@@ -18,11 +18,11 @@ _RADIOGRAPH_COLUMNS = {
     "sex": ("sc:Text", "Sex, female or male."),
     "age_years": ("sc:Float", "Age, years."),
     "stature_mm": ("sc:Float", "Stature, mm."),
-    "grade": ("sc:Integer", "Label: Kellgren-Lawrence grade, 0 to 4, that the knee was sampled for."),
+    "grade": ("sc:Integer", "Label: Kellgren-Lawrence grade, 0 to 4, for which the knee was sampled."),
     "jsw_medial_mm": ("sc:Float", "Minimum medial joint space width on this radiograph, mm."),
     "jsw_lateral_mm": ("sc:Float", "Minimum lateral joint space width on this radiograph, mm."),
-    "nominal_jsw_medial_mm": ("sc:Float", "Medial joint space width that the knee was specified with, mm."),
-    "nominal_jsw_lateral_mm": ("sc:Float", "Lateral joint space width that the knee was specified with, mm."),
+    "nominal_jsw_medial_mm": ("sc:Float", "Specified medial joint space width of the knee, mm."),
+    "nominal_jsw_lateral_mm": ("sc:Float", "Specified lateral joint space width of the knee, mm."),
     "protocol": ("sc:Text", "Name of the protocol, which includes beam tilt and dose."),
     "beam_angle_deg": ("sc:Float", "Beam angle, degrees; positive is caudal."),
     "tube_kv": ("sc:Float", "Peak tube voltage, kV."),
@@ -36,7 +36,7 @@ _RADIOGRAPH_COLUMNS = {
 _SPLIT_COLUMNS = {
     "repeat": ("sc:Integer", "Number of the split."),
     "subject": ("sc:Integer", "Number of the subject."),
-    "part": ("sc:Text", "Part of the split: training, validation or test."),
+    "part": ("sc:Text", "Subset of the split: training, validation or test."),
 }
 
 
@@ -50,9 +50,9 @@ def build_croissant_metadata(
     frozen : BenchmarkDefinition
         Definition of the data set: title, version, licence and date.
     files : mapping of str to (str, int)
-        CSV file -> its SHA-256 hash and its size in bytes; manifest.csv and splits.csv must be among them.
+        SHA-256 hash and size in bytes of each CSV file; manifest.csv and splits.csv are required.
     columns : sequence of str
-        Columns of manifest.csv; only these are described.
+        Columns of manifest.csv that are described.
 
     Returns
     -------
@@ -84,7 +84,7 @@ def build_croissant_metadata(
                 "splits",
                 "splits.csv",
                 _SPLIT_COLUMNS,
-                "Fixed splits by subject; both knees of a subject are in one part.",
+                "Fixed splits by subject; both knees of a subject are in the same subset.",
             ),
             _describe_split_parts(),
             _describe_image_records(),
@@ -112,7 +112,7 @@ def _describe_table(
     description: str,
     extra_fields: Sequence[dict[str, Any]] = (),
 ) -> dict[str, Any]:
-    """Describe a CSV table with its columns and further fields."""
+    """Describe a CSV table with its columns and additional fields."""
     fields = []
     for column, (kind, what) in columns.items():
         source = {"fileObject": {"@id": file}, "extract": {"column": column}}
@@ -140,13 +140,13 @@ def _describe_image_name_field() -> dict[str, Any]:
         "extract": {"column": "file"},
         "transform": {"regex": "images/(.*)"},
     }
-    # A reference to images_by_name is left out, since a loader would then read every image to list the labels.
+    # The field has no reference to images_by_name, because a loader would then read every image to list the labels.
     return _describe_field("radiographs/image", "sc:Text", "File name of the image, the key of images_by_name.", source)
 
 
 def _describe_image_records() -> dict[str, Any]:
-    """Describe the record set of all images, with the file name as key."""
-    said = {"name": "images_by_name", "description": "All images, by file name."}
+    """Describe the record set of all images, keyed by file name."""
+    said = {"name": "images_by_name", "description": "All images, keyed by file name."}
     of_name, of_content = (
         {"fileSet": {"@id": "images"}, "extract": {"fileProperty": what}} for what in ("filename", "content")
     )
@@ -159,18 +159,18 @@ def _describe_image_records() -> dict[str, Any]:
 
 
 def _describe_split_parts() -> dict[str, Any]:
-    """Describe the parts of a split: training, validation and test."""
+    """Describe the subsets of a split: training, validation and test."""
     fields = [
-        _describe_field("parts/name", "sc:Text", "Name of the part."),
-        _describe_field("parts/url", "sc:URL", "Purpose of the part, in the vocabulary of Croissant."),
+        _describe_field("parts/name", "sc:Text", "Name of the subset."),
+        _describe_field("parts/url", "sc:URL", "Purpose of the subset, in the Croissant vocabulary."),
     ]
     data = [{"parts/name": name, "parts/url": url} for name, url in _SPLIT_URLS.items()]
-    said = {"name": "parts", "description": "Parts of a split.", "dataType": "cr:Split", "key": {"@id": "parts/name"}}
+    said = {"name": "parts", "description": "Subsets of a split.", "dataType": "cr:Split", "key": {"@id": "parts/name"}}
     return {"@type": "cr:RecordSet", "@id": "parts", **said, "field": fields, "data": data}
 
 
 def _build_context() -> dict[str, Any]:
-    """Build the JSON-LD context that the specification recommends (its appendix 1)."""
+    """Build the JSON-LD context that appendix 1 of the Croissant specification recommends."""
     terms = (
         *("citeAs", "column", "extract", "field", "fileProperty", "fileObject", "fileSet", "format", "includes"),
         *("equivalentProperty", "isLiveDataset", "jsonPath", "key", "md5", "parentField", "path", "recordSet"),

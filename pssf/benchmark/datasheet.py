@@ -22,21 +22,21 @@ class DatasheetContent:
     manifest : DataFrame
         Manifest of the images, one row per radiograph.
     total_subjects : int
-        Number of subjects of the whole data set.
+        Number of subjects in the complete data set.
     variant : str
-        Entries of the preset that were replaced; "" for the frozen data set itself.
+        Names of replaced preset entries; "" for the unchanged data set.
     unlocated_radiographs : int
         Number of radiographs in which the joint was not located.
     reference_protocol : str
-        Protocol that the baselines are trained on.
+        Protocol of the radiographs on which the baselines are trained.
     baselines : DataFrame
         Scores of the baselines (`BenchmarkResult.baselines`).
     notes : sequence of str
-        Sentences on missing baselines and on splits that are too small.
+        Notes on missing baselines and on splits that are too small.
     warnings : sequence of str
-        Warnings of `study.statistics.analyses.leakage_checks.find_leakage_warnings`.
+        Warnings from `study.statistics.analyses.leakage_checks.find_leakage_warnings`.
     versions : mapping of str to str
-        Versions of the package and of the libraries that the pixels depend on.
+        Versions of the package and of the libraries that affect the pixels.
     """
 
     dataset_spec: BenchmarkDefinition
@@ -52,7 +52,7 @@ class DatasheetContent:
 
 
 def render_datasheet(content: DatasheetContent) -> str:
-    """Render the datasheet in Markdown, under the headings of Gebru et al. (2021).
+    """Render the datasheet in Markdown with the headings of Gebru et al. (2021).
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def render_datasheet(content: DatasheetContent) -> str:
     """
     manifest, knees = content.manifest, content.manifest.drop_duplicates("knee")
     of_subject = knees.groupby("subject").size()
-    counted = {"people": ("subject", "nunique"), "knees": ("knee", "nunique"), "radiographs": ("knee", "size")}
+    counted = {"subjects": ("subject", "nunique"), "knees": ("knee", "nunique"), "radiographs": ("knee", "size")}
     columns = ["protocol", "beam_angle_deg", "mas", "tube_kv"]
     first = manifest.iloc[0]
     return _render_template(
@@ -74,7 +74,7 @@ def render_datasheet(content: DatasheetContent) -> str:
         frozen=content.dataset_spec,
         whole=content.total_subjects,
         variant=content.variant,
-        people=len(of_subject),
+        subjects=len(of_subject),
         pairs=int((of_subject > 1).sum()),
         knees=len(knees),
         radiographs=len(manifest),
@@ -101,7 +101,7 @@ def render_citation(frozen: BenchmarkDefinition, versions: Mapping[str, str]) ->
     frozen : BenchmarkDefinition
         Definition of the data set.
     versions : mapping of str to str
-        Versions, with that of the package under ``pssf``.
+        Versions by package name; the version of this package has the key ``pssf``.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def render_citation(frozen: BenchmarkDefinition, versions: Mapping[str, str]) ->
 
 
 def _render_template(template: str, **values: Any) -> str:
-    """Render a template of this package; an undefined variable is an error."""
+    """Render a template of the subpackage `benchmark`; an undefined variable is an error."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("pssf.benchmark", "."),
         undefined=jinja2.StrictUndefined,
@@ -124,7 +124,7 @@ def _render_template(template: str, **values: Any) -> str:
 
 
 def _format_baseline_row(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Format the scores of one baseline, with its label and its 95 % interval."""
+    """Format the scores of one baseline, with its label and its 95 % confidence interval."""
     interval = "" if pd.isna(row["auc_low"]) else f"{row['auc_low']:.2f} to {row['auc_high']:.2f}"
     scores = {name: "" if pd.isna(row[name]) else f"{row[name]:.2f}" for name in ("auc", "balanced_accuracy")}
     return {**row, **scores, "label": PREDICTORS[row["model"]], "interval": interval}

@@ -1,4 +1,4 @@
-"""Hashes of the radiographs of each subject, by which two copies of the data set can be compared."""
+"""Hashes of the radiographs of each subject, for the comparison of two copies of the data set."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 def hash_subject_pixels(manifest: "pd.DataFrame", load_pixels: Callable[[str], NDArray[np.uint16]]) -> dict[str, str]:
     """Hash the pixels and the names of all radiographs of each subject.
 
-    Pixels are hashed instead of files, since a file also holds the versions of the software that made it.
+    Pixels are hashed instead of files, because a file also contains the versions of the software that made it.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def hash_subject_pixels(manifest: "pd.DataFrame", load_pixels: Callable[[str], N
     Returns
     -------
     dict of str to str
-        Number of the subject -> SHA-256 hash. The radiographs of a subject are hashed in the order of their names.
+        SHA-256 hash of each subject, keyed by the subject's number. Radiographs are hashed in alphabetical order.
     """
     digests = {}
     for subject, part in manifest.groupby("subject"):
@@ -39,33 +39,33 @@ def hash_subject_pixels(manifest: "pd.DataFrame", load_pixels: Callable[[str], N
 
 
 def count_matching_hashes(computed: Mapping[str, str], published: Mapping[str, str]) -> tuple[int, int]:
-    """Count the subjects whose hash equals the published one.
+    """Count the subjects whose hash equals the published hash.
 
     Parameters
     ----------
     computed : mapping of str to str
-        Subject -> hash, as `hash_subject_pixels` returns it.
+        Hash of each subject, from `hash_subject_pixels`.
     published : mapping of str to str
-        Subject -> hash that the package publishes.
+        Published hash of each subject, from the package.
 
     Returns
     -------
     matching : int
-        Number of subjects whose hashes are equal.
+        Number of subjects with equal hashes.
     compared : int
-        Number of subjects that have both hashes.
+        Number of subjects with a computed and a published hash.
     """
     both = computed.keys() & published.keys()
     return sum(computed[name] == published[name] for name in both), len(both)
 
 
 def format_hashes_toml(computed: Mapping[str, str]) -> str:
-    """Write hashes as TOML, in the format of ``data/benchmark_hashes.toml``.
+    """Format hashes as TOML, as in ``data/benchmark_hashes.toml``.
 
     Parameters
     ----------
     computed : mapping of str to str
-        Subject -> hash, as `hash_subject_pixels` returns it.
+        Hash of each subject, from `hash_subject_pixels`.
 
     Returns
     -------

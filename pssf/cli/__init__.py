@@ -7,9 +7,9 @@ predict_command     predict
 features_command    features
 measuring_commands  validate, quality, compare-patients, separability, protocols, knees
 explore_command     explore
-shared_options      options of several commands
+shared_options      options that several commands share
 
-Commands import their modules only when they run, so that the help appears at once.
+Commands import other modules only when they run, so that the help text appears without delay.
 """
 
 import errno
@@ -35,7 +35,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 _PYTHON_FORMATWARNING = warnings.formatwarning
-# Former name of an option to its current name.
+# Current names of options, keyed by former name.
 _RENAMED_OPTIONS = {
     "--curves": "--curve-knees",
     "--exposure": "--acquisition",
@@ -43,12 +43,13 @@ _RENAMED_OPTIONS = {
     "--grades": "--grade-table",
     "--look": "--processing",
     "--pairs": "--sensitivity-knees",
+    "--people": "--subjects",
     "--shares": "--sobol-samples",
     "--table": "--grade-table",
 }
-# Option and former value to its current value.
+# Current values of options, keyed by option and former value.
 _RENAMED_VALUES = {("--acquisition", "drawn"): "sampled", ("--processing", "linear"): "log"}
-# Former name of a command to its current name.
+# Current names of commands, keyed by former name.
 _RENAMED_COMMANDS = {
     "accuracy": "validate",
     "grades": "separability",
@@ -70,7 +71,7 @@ _COMMANDS = (
 
 
 def _show_version(asked: bool) -> None:
-    """Print the version and exit, if it is requested."""
+    """Print the version and exit if the option --version is given."""
     if asked:
         print(f"pssf {version('pssf')}")
         raise typer.Exit
@@ -98,7 +99,7 @@ def main() -> None:
         _require_options_once(sys.argv[1:])
         sys.exit(app(standalone_mode=False))
     except (typer.Abort, KeyboardInterrupt) as error:
-        # The parser raises Abort for an interrupt, and also for the early end of a file, which is an error.
+        # The parser raises Abort for an interrupt, and also for the unexpected end of a file, which is an error.
         if isinstance(error.__cause__, EOFError):
             raise error.__cause__ from None
         print("pssf: stopped; run the same command again to continue", file=sys.stderr)
@@ -135,7 +136,7 @@ def _format_warning(
 
 
 def _require_options_once(arguments: list[str]) -> None:
-    """Require that an option is given once, since the parser would silently use the last one."""
+    """Require that no option is repeated, because the parser would silently use the last value."""
     given = [word.split("=")[0] for word in arguments if word.startswith("--")]
     twice = sorted({name for name in given if given.count(name) > 1} - {"--"})
     if not twice:
@@ -160,7 +161,7 @@ def _is_repeatable(option: Any) -> bool:
 
 
 def _report_error(error: Exception) -> int:
-    """Print an error of the user in one line and return the exit code; raise any other error again."""
+    """Print a user error in one line and return the exit code; raise any other error again."""
     from ..core.checks import InputError, format_one_line
     from ..core.processes.worker_processes import WorkersLostError
 
@@ -170,7 +171,7 @@ def _report_error(error: Exception) -> int:
     if isinstance(error, MemoryError):
         reason = format_one_line(str(error)) or "of this process"
         print(
-            f"pssf: memory must suffice, got too little ({reason}): use fewer rows and cols, or fewer workers",
+            f"pssf: not enough memory ({reason}): use fewer rows and cols, or fewer workers",
             file=sys.stderr,
         )
         return 1
@@ -180,7 +181,7 @@ def _report_error(error: Exception) -> int:
             file=sys.stderr,
         )
         return 2
-    # The error classes of the parser are private, but their one-line messages are public.
+    # The error classes of the parser are private, but their method format_message is public.
     by_parser = getattr(error, "format_message", None)
     if by_parser is None and not isinstance(error, InputError):
         raise error
@@ -194,7 +195,7 @@ def _report_error(error: Exception) -> int:
 
 
 def _format_field_hint(message: str) -> str:
-    """Return a hint on --set if the unknown option is the name of a field; else an empty text."""
+    """Return a hint on --set if an unknown option is the name of a field; else an empty text."""
     asked = re.match(r"No such option: --([\w-]+)", message)
     if asked is None:
         return ""

@@ -17,12 +17,14 @@ def benchmark(
     *,
     out: Out,
     workers: Processes,
-    people: Annotated[
-        int, typer.Option(help="Number of the 1,000 subjects, equal for all grades, with the same images; 0: all.")
+    subjects: Annotated[
+        int, typer.Option(help="Number of subjects, equal for all grades, out of the 1,000 subjects; 0: all subjects.")
     ] = 0,
     protocols: Annotated[
         str,
-        typer.Option(help="Names or TOML files, separated by commas, instead of fixed_flexion, for trials."),
+        typer.Option(
+            help="Names or TOML files of protocols, separated by commas, for trials; the default is fixed_flexion."
+        ),
     ] = "",
     matrix: Matrix = 0,
     scheduler: Scheduler = None,
@@ -41,7 +43,7 @@ def benchmark(
 
     execution = Execution(workers=workers, progress_bar=show_progress_bar, scheduler=scheduler)
     overrides = cohort_overrides("", -1, protocols, "", matrix=matrix)
-    made = make_benchmark(out, execution, people=people, overrides=overrides, engine=engine)
+    made = make_benchmark(out, execution, subjects=subjects, overrides=overrides, engine=engine)
     for row in made.baselines.to_dict("records"):
         where = f"{row['task']:<10} {row['model']:<10} {row['tested_on']:<28}"
         print(f"{where} AUC {row['auc']:.2f} ({row['auc_low']:.2f} to {row['auc_high']:.2f})")

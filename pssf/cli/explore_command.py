@@ -7,12 +7,14 @@ import typer
 
 def explore(
     *,
-    port: Annotated[int, typer.Option(help="Port on this machine; 0 selects a free one.")] = 0,
-    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
+    port: Annotated[int, typer.Option(help="Port on this machine; 0 selects a free port.")] = 0,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the default browser.")
+    ] = True,
 ) -> None:
-    """Open a page with sliders in the browser: a knee, its radiograph and its solids, on this machine only.
+    """Open an interactive page in the browser that shows a knee, its radiograph and its solids, on this machine only.
 
-    Prints the link of this run. Ctrl-C ends the run. Needs the extra explore.
+    The command prints the link to the page and runs until Ctrl-C. It needs the extra explore.
     """
     from ..explore import require_extra
 

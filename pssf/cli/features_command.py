@@ -1,4 +1,4 @@
-"""Command `features`: radiomic features of images of the user."""
+"""Command `features`: measure radiomic features of user images."""
 
 import sys
 from pathlib import Path
@@ -14,20 +14,18 @@ def features(
     *,
     out: Out,
     workers: Processes,
-    pixel_mm: Annotated[float, typer.Option(help="Pixel size in mm; 0: as each file gives it.")] = 0.0,
+    pixel_mm: Annotated[float, typer.Option(help="Pixel size in mm; 0: read from each file.")] = 0.0,
     bins: Annotated[int, typer.Option(help="Number of grey-level bins of texture features.")] = 64,
     families: Annotated[str, typer.Option(help="Families of features, separated by commas; all by default.")] = "",
     backend: Annotated[
         str,
-        typer.Option(
-            help="Library that measures features: pyradiomics or mirp; by default the first that is installed."
-        ),
+        typer.Option(help="Radiomics library: pyradiomics or mirp; by default the first of them that is installed."),
     ] = "",
 ) -> None:
     """Measure radiomic features of your own images and masks, without a model, and write features.csv.
 
-    The mask of X.png is X_mask.png beside it, or X (any suffix) in a folder masks inside or beside the folder. Pixels
-    that are not zero are measured. An image without a mask is measured completely.
+    The mask of X.png is X_mask.png in the same folder, or X with any suffix in a folder masks, inside FOLDER or next to
+    FOLDER. Pixels whose mask value is not zero are measured. An image without a mask is measured completely.
     """
     from ..core.checks import InputError
     from ..core.processes.execution import Execution
@@ -51,7 +49,9 @@ def features(
         print(f"pssf: {row['file']}: {row['status']}", file=sys.stderr)
     measured = table[table["status"] == "measured"]
     if measured.empty:
-        raise InputError(f"folder {folder} must have an image that can be measured, got none: see the lines above")
+        raise InputError(
+            f"folder {folder} must have an image that can be measured, got none: the lines above give the reasons"
+        )
     whole = int((measured["mask"] == WHOLE_IMAGE).sum())
     if whole:
         print(

@@ -49,24 +49,26 @@ def simulate(
     kinds: Annotated[
         str,
         typer.Option(
-            "--formats", help="Any of tif, png, json and dcm (two files, linear and for display), separated by commas."
+            "--formats", help="Any of tif, png, json and dcm (one linear file, one for display), separated by commas."
         ),
     ] = "tif,png,json",
     border: Annotated[
-        str, typer.Option(help="none, or marked: edge of the collimator and side marker in images for display.")
+        str, typer.Option(help="none, or marked: draw collimator edge and side marker on images for display.")
     ] = "none",
     processing: Annotated[
         str,
-        typer.Option(help="Display processing of images for display: processed (as by a flat panel), log, or film."),
+        typer.Option(help="Display processing: processed (as by a flat-panel system), log, or film."),
     ] = "processed",
     acquisition: Annotated[
         str,
-        typer.Option(help="fixed, or sampled: centring, rotation, beam, kV, mAs, field and marker vary with the seed."),
+        typer.Option(
+            help="fixed, or sampled: centring, rotation, beam, kV, mAs, field and side marker vary with the seed."
+        ),
     ] = "fixed",
     masks: Annotated[
         bool,
         typer.Option(
-            "--masks", help="Write masks of bones and osteophytes too: TIFF, and DICOM if dcm is among the formats."
+            "--masks", help="Also write masks of bones and osteophytes: TIFF, and DICOM if dcm is among the formats."
         ),
     ] = False,
     settings: Settings = None,
@@ -74,14 +76,14 @@ def simulate(
     scene: Annotated[
         Path | None,
         typer.Option(
-            help="TOML file that lists your own meshes, in mm, instead of a knee: one table [[surface]] per mesh, with "
-            "file, inside and outside."
+            help="TOML file that lists your own meshes in mm, to be simulated instead of a knee. Each mesh has a "
+            "table [[surface]] with file, inside and outside."
         ),
     ] = None,
 ) -> None:
-    """Simulate one radiograph; write it as 16-bit TIFF, PNG for display, JSON with its parameters, and DICOM if asked.
+    """Simulate one radiograph; write a 16-bit TIFF, a PNG for display, a JSON of parameters, and optionally DICOM.
 
-    A protocol of both knees images both knees of one subject.
+    A bilateral protocol images both knees of one subject.
     """
     from ..core.checks import require_choice, require_workers
     from ..core.progress_display import show_status
@@ -97,7 +99,7 @@ def simulate(
     warn_of_cropped_field(of_protocol)
     require_workers(workers)
     _require_knee_options(scene is not None, subject, masks, border)
-    with show_status("simulating; the first run after an installation takes some seconds longer, to compile"):
+    with show_status("simulating; the first run after an installation also compiles, which takes some seconds"):
         from ..detector import DISPLAY_PROCESSING
         from ..geometry.scene import Scene
         from ..io.atomic_write import make_folder
@@ -125,24 +127,24 @@ def simulate(
 
 
 def _require_knee_options(is_scene: bool, subject: object, masks: bool, border: str) -> None:
-    """Require that masks are of knees and not of a scene, and that a border is of one knee."""
+    """Require that masks are not requested for a scene, and a border only for one knee."""
     from ..core.checks import InputError
     from ..model.knee import Knee
 
     if masks and is_scene:
-        raise InputError("masks must be of one knee or both knees, got masks = of a scene: leave out --masks")
+        raise InputError("masks must be of one knee or both knees, got subject = scene: leave out --masks")
     if border != "none" and not isinstance(subject, Knee):
         raise InputError(f"border must be none for {'a scene' if is_scene else 'both knees'}, got {border!r}")
 
 
 def _print_scene_warnings(scene: "Scene", protocol: "Protocol") -> None:
-    """Print a line for each fault of a scene that is not an error but may be unintended."""
+    """Print one warning line for each fault of a scene that may be unintended but is not an error."""
     from ..raycast.scene_check import COVERS_NO_PIXEL, check
 
-    faults = [fault for fault in check(scene, protocol).faults if fault.outcome == "noted"]
+    faults = [fault for fault in check(scene, protocol).faults if fault.outcome == "warning"]
     unseen = [fault for fault in faults if fault.problem == COVERS_NO_PIXEL]
     for fault in faults:
-        # If the whole scene is outside of the field of view, `simulate` warns of it once.
+        # If all surfaces are outside the field of view, `simulate` gives a single warning.
         if fault not in unseen or len(unseen) < len(scene.surfaces):
             print(f"pssf: warning: {fault}", file=sys.stderr)
 
@@ -159,7 +161,10 @@ def meshes(
     ] = "stl,ply,glb,3mf",
     settings: Settings = None,
     tolerance_mm: Annotated[
-        float, typer.Option(help="Largest distance in mm by which a surface may move to save triangles.")
+        float,
+        typer.Option(
+            help="Largest distance in mm by which a surface may move to save triangles; 0 keeps all triangles."
+        ),
     ] = 0.0,
 ) -> None:
     """Write the solids of a knee as STL, PLY, GLB and 3MF, in mm."""
@@ -196,22 +201,22 @@ def cohort(
     knees: KneeCounts = "",
     bilateral: Bilateral = -1,
     protocols: Annotated[
-        str, typer.Option(help="Names or TOML files, separated by commas, instead of the preset's.")
+        str, typer.Option(help="Names or TOML files of protocols, separated by commas, instead of those of the preset.")
     ] = "",
     grade_table: CohortGrades = "",
     acquisition: Annotated[
-        str, typer.Option(help="fixed, or sampled: every acquisition varies; instead of the preset's.")
+        str, typer.Option(help="fixed, or sampled: every acquisition varies; by default as in the preset.")
     ] = "",
-    masks: Annotated[bool, typer.Option("--masks", help="Write masks of bones and osteophytes too, as TIFF.")] = False,
+    masks: Annotated[bool, typer.Option("--masks", help="Also write masks of bones and osteophytes, as TIFF.")] = False,
     settings: Settings = None,
     matrix: Matrix = 0,
     scheduler: Scheduler = None,
     engine: Engine = "scanline",
 ) -> None:
-    """Make the radiographs and the manifest of a whole cohort; change it with --knees, --protocols and --grade-table.
+    """Make the radiographs and the manifest of a cohort; --knees, --protocols and --grade-table change the preset.
 
-    An interrupted run continues where it stopped, and ends with the same bytes: existing files are checked and kept. A
-    folder that holds another cohort is rejected, with the first difference.
+    An interrupted run continues where it stopped, and gives the same bytes: existing files are checked and kept. If the
+    folder has another cohort, the command stops and names the first difference.
     """
     if context.invoked_subcommand is not None:
         return
@@ -245,10 +250,10 @@ def cohort(
 
 
 @cohort_app.command()
-def verify(folder: Annotated[Path, typer.Argument(help="Folder that pssf cohort made.")]) -> None:
+def verify(folder: Annotated[Path, typer.Argument(help="Folder of a cohort that pssf cohort made.")]) -> None:
     """Check every file of a cohort against its hash.
 
-    Prints one line per fault. The exit code is 2 if there is a fault.
+    The command prints one line per fault. With a fault the exit code is 2.
     """
     from ..cohort import verify_cohort
     from ..core.progress_display import show_status
@@ -263,8 +268,10 @@ def verify(folder: Annotated[Path, typer.Argument(help="Folder that pssf cohort 
 
 
 @cohort_app.command()
-def labels(folder: Annotated[Path, typer.Argument(help="Folder that pssf cohort made.")], *, out: Out) -> None:
-    """Write the labels of a cohort in common formats: CSV with OAI columns, .pts, COCO, and pictures by grade."""
+def labels(
+    folder: Annotated[Path, typer.Argument(help="Folder of a cohort that pssf cohort made.")], *, out: Out
+) -> None:
+    """Write the labels of a cohort as CSV with OAI columns, .pts and COCO, and its images as 8-bit PNG by grade."""
     from ..cohort import write_labels
     from ..core.progress_display import show_status
 

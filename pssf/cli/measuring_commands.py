@@ -11,7 +11,6 @@ from .shared_options import (
     Out,
     Processes,
     ProtocolName,
-    Readme,
     Seed,
     Workers,
 )
@@ -23,43 +22,43 @@ def validate(
     tables: Annotated[
         str,
         typer.Option(
-            help="Names separated by commas, or all; an unknown name is rejected with a list of the known ones."
+            help="Names of tables, separated by commas, or all; an error for an unknown name lists the known names."
         ),
     ] = "all",
-    knees: Annotated[int, typer.Option(help="Number of knees in tables that sample knees.")] = 30,
+    knees: Annotated[int, typer.Option(help="Number of sampled knees per table, for tables that need knees.")] = 30,
     workers: Workers = 2,
-    readme: Readme = None,
 ) -> None:
     """Measure numerical error and run time on this machine; write tables (CSV) and a figure."""
     from ..core.checks import require_integer
     from ..core.progress_display import show_status
+    from ..io.run_record import start_run_record
     from ..validation import DEFAULT_TABLES, run_validation
 
     require_integer("knees", knees, 1, 100_000, "")
     wanted = DEFAULT_TABLES if tables == "all" else tuple(name.strip() for name in tables.split(","))
+    record = start_run_record()
     with show_status("measuring") as shown:
-        paths = run_validation(out, workers=workers, tables=wanted, knees=knees, readme=readme, progress=shown)
-    for path in paths:
+        paths = run_validation(out, workers=workers, tables=wanted, knees=knees, progress=shown)
+    for path in [*paths, record.save(out)]:
         print(path)
 
 
-def quality(*, out: Out, protocol: ProtocolName = "reference", readme: Readme = None) -> None:
-    """Measure the image quality of a protocol and compare it with references: beam, MTF, NPS, DQE, exposure.
+def quality(*, out: Out, protocol: ProtocolName = "reference") -> None:
+    """Measure beam, MTF, NPS, DQE and exposure of a protocol, and compare them with reference values.
 
-    Writes tables (CSV) and a figure.
+    The command writes tables (CSV) and a figure.
     """
     from rich.console import Console
     from rich.table import Table
 
     from ..core.progress_display import show_status
     from ..io.atomic_write import make_folder
-    from ..io.readme_tables import open_checkout
+    from ..io.run_record import start_run_record
     from ..model.protocol import load_protocol
     from ..quality import measure_quality, write_quality
 
     technique = load_protocol(protocol)
-    name = f"quality_{technique.name}"
-    checkout = open_checkout(readme, [name])
+    record = start_run_record()
     make_folder(out)
     with show_status("measuring") as shown:
         measured = measure_quality(technique, progress=shown)
@@ -69,7 +68,7 @@ def quality(*, out: Out, protocol: ProtocolName = "reference", readme: Readme = 
         table.add_row(row["quantity"], row["value"], known, row["source"])
     Console(width=None if sys.stdout.isatty() else 160).print(table)
     paths = write_quality(measured, technique, out)
-    for path in [*paths, *checkout.update_tables({name: measured.rows}, paths)]:
+    for path in [*paths, record.save(out)]:
         print(path)
 
 
@@ -80,7 +79,8 @@ def compare_patients(
     films: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of patient radiographs: folders 0 to 4 by grade, or a CSV; or such folders, one per source."
+            help="Folder of patient radiographs, with subfolders 0 to 4 by grade or a CSV; or a folder that contains "
+            "one such folder per source."
         ),
     ] = None,
     bones: Annotated[
@@ -89,38 +89,28 @@ def compare_patients(
     ] = None,
     cohort: Annotated[
         Path | None,
-        typer.Option(help="Folder that pssf cohort made; its radiographs under the protocol give the contours."),
+        typer.Option(
+            help="Folder of a cohort that pssf cohort made; its radiographs of --protocol give the simulated contours."
+        ),
     ] = None,
     protocol: ProtocolName = "reference",
     knees: Annotated[int, typer.Option(help="Number of sampled knees, equal for all grades.")] = 200,
     grade_table: GradeTable = "population",
     seed: Seed = 0,
-    readme: Readme = None,
 ) -> None:
     """Compare simulated knees with bones, contours and radiographs of patients; write one page and tables (CSV).
 
-    A part is measured only if its data are given. Contours are always compared with published ones: joint gaps, plateau
-    and convergence by grade are in contours_sizes.csv. An interrupted run continues where it stopped.
+    Each comparison needs its data. Contours are always compared with published values: contours_sizes.csv has the joint
+    gaps, plateau and convergence by grade. An interrupted run continues where it stopped.
     """
     from ..core.processes.execution import Execution
     from ..core.progress_display import show_progress_bar
-    from ..io.readme_tables import open_checkout
-    from ..patient_comparison.comparison_run import (
-        README_GRADE_TABLE,
-        README_TABLES,
-        compare_with_patients,
-        select_readme_tables,
-    )
+    from ..io.run_record import start_run_record
+    from ..patient_comparison.comparison_run import compare_with_patients
     from ..study import require_extra
 
     require_extra()
-    given = {"contours": True, "bones": bones is not None, "films": films is not None}
-    shown = select_readme_tables(
-        [name for part, names in README_TABLES.items() if given[part] for name in names], grade_table
-    )
-    checkout = open_checkout(
-        readme, shown, protocol=protocol, knees=knees, sample=_format_sample_options(cohort, protocol, knees)
-    )
+    record = start_run_record()
     execution = Execution(workers=workers, progress_bar=show_progress_bar)
     measured = compare_with_patients(
         out,
@@ -133,17 +123,10 @@ def compare_patients(
         grade_table=grade_table,
         seed=seed,
     )
-    pictures = measured.paths if grade_table == README_GRADE_TABLE else []
-    checkout.update_tables({place: measured.rows.get(name, []) for place, name in shown.items()}, pictures)
+    record.save(out)
     for line in measured.summaries:
         print(line)
     print(f"page      {measured.page}")
-
-
-def _format_sample_options(cohort: Path | None, protocol: str, knees: int) -> str:
-    """Format the options for the source of the contours: a cohort, by folder name, or sampled knees."""
-    under = f"--protocol {protocol}"
-    return f"{under} --knees {knees}" if cohort is None else f"--cohort {cohort.resolve().name} {under}"
 
 
 def separability(
@@ -151,14 +134,15 @@ def separability(
     out: Out,
     grade_table: GradeTable = "population",
     knees: Annotated[
-        int, typer.Option(help="Number of sampled knees, equal for all grades; fewer give a wider interval.")
+        int,
+        typer.Option(help="Total number of sampled knees, equal for all grades; fewer knees give a wider interval."),
     ] = 30_000,
     seed: Seed = 0,
 ) -> None:
-    """Estimate how well the grades of a grade table can be separated at best, by JSW or by all knee parameters.
+    """Estimate how well JSW, or all knee parameters together, could at best separate the grades of a grade table.
 
-    No image is made. A study of radiographs of such knees cannot separate grades better than the knee parameters do.
-    Those separate grades at least as well as the better of the two fits to them.
+    No image is made. Radiographs of the sampled knees cannot separate grades better than the knee parameters. The knee
+    parameters separate grades at least as well as the better one of two fitted classifiers.
     """
     from rich.console import Console
     from rich.table import Table
@@ -177,11 +161,19 @@ def separability(
         measured = estimate_separability(
             load_knee_distributions(grade_table), load_landmark_reference().gap_alone_auc, knees=knees, seed=seed
         )
-    shown = Table("grades", "known", "how", "knees", "AUC", "95 %", "smaller gap on patient radiographs")
+    shown = Table("grades", "parameters", "method", "knees", "AUC", "95 %", "smaller gap on patient radiographs")
     for row in measured.to_dict("records"):
-        people = "" if row["people"] != row["people"] else f"{row['people']:.2f}"
+        patient_auc = "" if row["patient_auc"] != row["patient_auc"] else f"{row['patient_auc']:.2f}"
         interval = f"{row['low']:.2f} to {row['high']:.2f}"
-        shown.add_row(row["grades"], row["known"], row["how"], str(row["knees"]), f"{row['auc']:.3f}", interval, people)
+        shown.add_row(
+            row["grades"],
+            row["parameters"],
+            row["method"],
+            str(row["knees"]),
+            f"{row['auc']:.3f}",
+            interval,
+            patient_auc,
+        )
     Console(width=None if sys.stdout.isatty() else 160).print(shown)
     path = make_folder(out) / "separability.csv"
     save_table(path, measured)
@@ -189,7 +181,9 @@ def separability(
 
 
 def protocols(
-    name: Annotated[str, typer.Argument(help="Name or path of a protocol whose values are shown.")] = "",
+    name: Annotated[
+        str, typer.Argument(help="Name of a protocol, or path of a TOML file, whose values are shown as defaults.")
+    ] = "",
 ) -> None:
     """List the fields of a protocol with meaning, unit, allowed values, default and source of typical values."""
     from ..data.data_files import list_protocols
@@ -205,7 +199,7 @@ def protocols(
 def knees(
     *,
     template: Annotated[
-        bool, typer.Option("--template", help="Print a TOML file to fill in for --knee instead.")
+        bool, typer.Option("--template", help="Print a template of a TOML file for --knee instead.")
     ] = False,
 ) -> None:
     """List the fields of a knee with meaning, unit, allowed values, default and source of typical values."""
@@ -218,7 +212,7 @@ def knees(
 
 
 def _print_fields(rows: "list[dict[str, str]]") -> None:
-    """Print fields one below the other, for terminals of any width."""
+    """Print fields in one column, which fits terminals of any width."""
     for row in rows:
         unit = f" {row['unit']}" if row["unit"] else ""
         shown = f" = {row['default']}{unit}" if row["default"] else unit

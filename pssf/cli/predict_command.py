@@ -15,26 +15,29 @@ if TYPE_CHECKING:
 def predict(
     model: Annotated[Path, typer.Argument(help="Model that pssf study saved (.skops).")],
     films: Annotated[
-        list[Path], typer.Argument(metavar="FILM...", help="Radiographs, or folders or CSVs of radiographs.")
+        list[Path],
+        typer.Argument(
+            metavar="FILM...", help="Files of radiographs, folders of radiographs, or CSV files that list radiographs."
+        ),
     ],
     *,
     out: Out,
     workers: Processes,
     side: Annotated[
-        str, typer.Option(help="right or left, if neither file name nor table gives the side; estimated by default.")
+        str, typer.Option(help="Side, right or left, if neither file name nor table gives it; estimated by default.")
     ] = "",
     pixel_mm: Annotated[
         float,
         typer.Option(
-            help="Pixel size in mm, if no table gives it; 0: from the file, else estimated from the plateau width."
+            help="Pixel size in mm, if no table gives it; 0: read from the file, else estimated from the plateau width."
         ),
     ] = 0.0,
     linear: Annotated[
         bool,
         typer.Option(
             "--linear",
-            help="Pixels of files that pssf has not written are linear in the signal, air bright; side and pixel size "
-            "must be known.",
+            help="Treat pixels of files of other programs as linear in the signal, with air bright; side and pixel "
+            "size must be known.",
         ),
     ] = False,
 ) -> None:
@@ -65,22 +68,22 @@ def predict(
     )
     for line in done.warnings:
         print(f"pssf: {line}", file=sys.stderr)
-    study_results.save_table(out / "read.csv", done.table)
+    study_results.save_table(out / "film_predictions.csv", done.table)
     names = dict(zip(loaded.card.grades, loaded.card.grade_names, strict=True))
     taken: set[str] = set()
     for _, row in done.table.iterrows():
         chances = ", ".join(f"grade {grade} ({name}) {row[f'p grade {grade}']:.3f}" for grade, name in names.items())
         print(f"{row['file']}  {chances if row['status'] == 'found' else 'rejected: ' + row['status']}")
-        if row["row_px"] == row["row_px"]:  # NaN if no joint was searched for.
+        if row["row_px"] == row["row_px"]:  # The row is NaN if no joint was searched.
             write_image_row(
                 [draw_film_region(loaded, row, Path(), linear=linear)],
                 out / "pictures" / f"{_make_unique_stem(row['file'], taken)}.png",
             )
-    print(f"table     {out / 'read.csv'}")
+    print(f"table     {out / 'film_predictions.csv'}")
 
 
 def _collect_films(path: Path, side: str, pixel_mm: float) -> "list[Film]":
-    """List the radiographs of a path, with the given side and pixel size where file names and tables have none."""
+    """List the radiographs of a path; use the given side and pixel size if file names and tables have none."""
     from dataclasses import replace
 
     from ..core.checks import require_choice, require_in_range
@@ -108,7 +111,7 @@ def _collect_films(path: Path, side: str, pixel_mm: float) -> "list[Film]":
 
 
 def _make_unique_stem(file: str, used_names: set[str]) -> str:
-    """Return the stem of a file, with a number if the name is used already."""
+    """Return the stem of a file, with a number if another file has the same stem."""
     stem, count = Path(file).stem, 1
     name = stem
     while name in used_names:

@@ -1,4 +1,4 @@
-"""Shared options of commands, and their conversion to knees, protocols and scenes."""
+"""Options that several commands share, and their conversion to knees, protocols and scenes."""
 
 import sys
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ def _count_cores() -> int:
     return count_cores()
 
 
-Out = Annotated[Path, typer.Option("--out", help="Folder for the results; created if it does not exist.")]
+Out = Annotated[Path, typer.Option("--out", help="Output folder; created if it does not exist.")]
 Seed = Annotated[int, typer.Option(help="Seed of all random numbers; the same seed gives the same bytes.")]
 Grade = Annotated[
     int, typer.Option(help="KL grade of the sampled knee: 0 to 4 in the grade table population, 0 to 2 in paper.")
@@ -44,13 +44,11 @@ Scheduler = Annotated[
     typer.Option(
         metavar="tcp://HOST:PORT",
         help="Dask scheduler whose workers make the radiographs, instead of processes on this machine. All workers "
-        "must see --out under the same path and have the same pssf (extra: cluster).",
+        "must access --out under the same path and have the same version of pssf (extra: cluster).",
     ),
 ]
-Engine = Annotated[str, typer.Option(help="Ray caster: embree or scanline; both agree, and scanline is faster.")]
-Readme = Annotated[
-    Path | None,
-    typer.Option("--readme", help="Source checkout whose READMEs receive the measured tables, between their markers."),
+Engine = Annotated[
+    str, typer.Option(help="Ray caster: embree or scanline; the path lengths agree, and scanline is faster.")
 ]
 Preset = Annotated[
     str,
@@ -63,8 +61,8 @@ GradeTable = Annotated[
     str,
     typer.Option(
         "--grade-table",
-        help="Table of grades that knees are sampled from: population (KL 0 to 4, which overlap as in patients), paper "
-        "(grades 0 to 2 by joint space), or the path of a .toml file.",
+        help="Grade table from which knees are sampled: population (KL 0 to 4, which overlap as in patients), paper "
+        "(grades 0 to 2, separated by joint space), or the path of a .toml file.",
     ),
 ]
 
@@ -80,19 +78,26 @@ Settings = Annotated[
 ]
 Matrix = Annotated[
     int,
-    typer.Option(help="Pixels along the longer side of the detector; the field stays the same. 0: as in the protocol."),
+    typer.Option(
+        help="Pixels along the longer edge of the detector for the same field of view. 0: as in the protocol."
+    ),
 ]
 KneeCounts = Annotated[
     str,
     typer.Option(
-        "--knees", help="Numbers of knees of each grade from 0 on, instead of the preset's, such as 10,10,10."
+        "--knees",
+        help="Number of knees of each grade, starting with grade 0, instead of those of the preset: 10,10,10.",
     ),
 ]
 Bilateral = Annotated[
     int, typer.Option(help="Number of subjects with both knees; -1: as in the preset, or none with --knees.")
 ]
 CohortGrades = Annotated[
-    str, typer.Option("--grade-table", help="Grade table, as for simulate, instead of the preset's.")
+    str,
+    typer.Option(
+        "--grade-table",
+        help="Grade table instead of that of the preset: population, paper, or the path of a .toml file.",
+    ),
 ]
 
 
@@ -106,47 +111,42 @@ def cohort_overrides(
     matrix: int = 0,
     settings: "list[str] | None" = None,
 ) -> "dict[str, Any]":
-    """Collect the entries that replace those of a preset, for `plan_cohort`; options that are not given are left out.
+    """Collect the preset entries that options replace, for `plan_cohort`; leave out options that are not given.
 
     Parameters
     ----------
     knees : str
-        Numbers of knees of each grade from 0 on, separated by commas; empty for the preset's.
+        Number of knees of each grade, starting with grade 0, separated by commas; empty keeps the preset.
     bilateral : int
-        Number of subjects with both knees; -1 for the preset's.
+        Number of subjects with both knees; -1 keeps the preset.
     protocols : str
-        Names or TOML files, separated by commas; empty for the preset's.
+        Names or TOML files of protocols, separated by commas; empty keeps the preset.
     grade_table : str
-        Grade table; empty for the preset's.
+        Grade table; empty keeps the preset.
     acquisition : str
-        "fixed" or "sampled"; empty for the preset's.
+        "fixed" or "sampled"; empty keeps the preset.
     matrix : int
-        Pixels along the longer side of the detector; 0 for the protocol's.
+        Pixels along the longer edge of the detector; 0 keeps the protocol.
     settings : list of str or None
         Entries FIELD=VALUE that change the knee or the protocol.
 
     Returns
     -------
     dict of str to object
-        Entry of the preset to its new value.
+        New values of preset entries, keyed by entry name.
 
     Raises
     ------
     InputError
         The numbers of knees are not whole numbers.
     """
-    from ..core.checks import InputError
-
     given: dict[str, Any] = {}
     if knees:
-        counts = [count.strip() for count in knees.split(",")]
-        if not all(count.isascii() and count.isdigit() and len(count) < 7 for count in counts):
-            raise InputError(f"knees must be whole numbers separated by commas, one per grade from 0 on, got {knees!r}")
-        given = {"knees": tuple(map(int, counts)), "bilateral": 0}
+        given = {"knees": parse_knee_counts(knees), "bilateral": 0}
     if bilateral != -1:
         given["bilateral"] = bilateral
     if protocols:
-        given["protocols"] = tuple(name.strip() for name in protocols.split(","))
+        given["protocols"] = split_names(protocols)
     if grade_table:
         given["grade_table"] = grade_table
     if acquisition:
@@ -159,20 +159,62 @@ def cohort_overrides(
 
 
 def warn_of_cropped_field(protocol_changes: "dict[str, Any]") -> None:
-    """Print a warning if rows or columns change without the pixel size, because this changes the field.
+    """Print a warning if rows or columns change without the pixel size, because the field of view changes.
 
     Parameters
     ----------
     protocol_changes : dict of str to object
-        Fields of the protocol that the user changes.
+        New values of protocol fields, keyed by field name.
     """
     sides = [name for name in ("rows", "cols") if name in protocol_changes]
     if sides and "pixel_mm" not in protocol_changes:
         print(
-            f"pssf: warning: {' and '.join(sides)} without pixel_mm change the field, since pixels keep their size; "
-            "use --matrix to change the number of pixels and keep the field",
+            f"pssf: warning: {' and '.join(sides)} without pixel_mm change the field of view; use --matrix to "
+            "change the number of pixels and keep the field of view",
             file=sys.stderr,
         )
+
+
+def split_names(text: str) -> tuple[str, ...]:
+    """Split an option that lists names separated by commas.
+
+    Parameters
+    ----------
+    text : str
+        Value of the option.
+
+    Returns
+    -------
+    tuple of str
+        Names in the given order, without surrounding spaces.
+    """
+    return tuple(name.strip() for name in text.split(","))
+
+
+def parse_knee_counts(text: str) -> tuple[int, ...]:
+    """Parse an option that lists the number of knees of each grade.
+
+    Parameters
+    ----------
+    text : str
+        Whole numbers separated by commas, one per grade, starting with grade 0.
+
+    Returns
+    -------
+    tuple of int
+        Number of knees of each grade.
+
+    Raises
+    ------
+    InputError
+        An entry is not a whole number.
+    """
+    from ..core.checks import InputError
+
+    counts = split_names(text)
+    if not all(count.isascii() and count.isdigit() and len(count) < 7 for count in counts):
+        raise InputError(f"knees must be whole numbers separated by commas, one per grade from grade 0, got {text!r}")
+    return tuple(map(int, counts))
 
 
 def parse_numbers(name: str, text: str) -> tuple[float, ...]:
@@ -181,19 +223,19 @@ def parse_numbers(name: str, text: str) -> tuple[float, ...]:
     Parameters
     ----------
     name : str
-        Name of the option, for the message.
+        Name of the option, shown in error messages.
     text : str
         Value of the option.
 
     Returns
     -------
     tuple of float
-        Numbers in their order.
+        Numbers in the given order.
 
     Raises
     ------
     InputError
-        An entry is no number.
+        An entry is not a number.
     """
     from ..core.checks import InputError
 
@@ -205,20 +247,20 @@ def parse_numbers(name: str, text: str) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class KneeChoice:
-    """Knee that the user requests: from a file, sampled by grade and seed, or a scene.
+    """Knee or scene that the user requests: a knee from a file, a sampled knee, or a scene from a file.
 
     Attributes
     ----------
     path : Path or None
-        TOML file of the knee; None for a sampled one.
+        TOML file of the knee; None for a sampled knee.
     grade : int
         KL grade of a sampled knee.
     seed : int
         Seed of a sampled knee.
     grade_table : str
-        Grade table that the knee is sampled from.
+        Grade table from which the knee is sampled.
     overrides : dict of str to object
-        Fields of the knee that the user changes.
+        New values of knee fields, keyed by field name.
     scene : Path or None
         File of a scene; None for a knee.
     """
@@ -242,9 +284,9 @@ def make_knee(choice: KneeChoice) -> "tuple[Knee, str]":
     Returns
     -------
     knee : Knee
-        Knee.
+        Requested knee.
     name : str
-        Name for its files.
+        Beginning of the output file names.
 
     Raises
     ------
@@ -268,7 +310,7 @@ def make_knee(choice: KneeChoice) -> "tuple[Knee, str]":
 
 
 def _require_no_sampling_options(choice: KneeChoice, given: str) -> None:
-    """Require that options of a sampled knee are not combined with a knee file or scene, named by `given`."""
+    """Require that options of a sampled knee are not combined with a knee file or scene; messages show `given`."""
     from ..core.checks import InputError
 
     for name, value, default in (
@@ -287,14 +329,14 @@ def make_subject(choice: KneeChoice, protocol: "Protocol") -> "tuple[Knee | tupl
     choice : KneeChoice
         Requested knee or scene.
     protocol : Protocol
-        Protocol; its distance between the knees decides between one knee and both.
+        Protocol. If its distance between the knees is not 0, both knees are made.
 
     Returns
     -------
     subject : Knee, (Knee, Knee) tuple or Scene
-        Object to simulate; both knees are right, then left.
+        Object to simulate; a pair of knees is ordered right, left.
     name : str
-        Name for its files.
+        Beginning of the output file names.
 
     Raises
     ------
@@ -318,7 +360,7 @@ def make_subject(choice: KneeChoice, protocol: "Protocol") -> "tuple[Knee | tupl
         return make_knee(choice)
     if choice.path is not None:
         raise InputError(
-            f"knee {choice.path} must be used with a protocol of one knee, got {protocol.name}, which images both"
+            f"knee {choice.path} must be used with a protocol of one knee, got {protocol.name}, which images both knees"
         )
     require_seed(choice.seed)
     drawn = sample_knee_pair(grade=choice.grade, rng=choice.seed, grade_table=choice.grade_table)
@@ -329,7 +371,7 @@ def make_subject(choice: KneeChoice, protocol: "Protocol") -> "tuple[Knee | tupl
 def resolve_acquisition(
     acquisition: str, nominal: "Protocol", subject: "Knee | tuple[Knee, Knee] | Scene", seed: int
 ) -> "Protocol":
-    """Return the nominal protocol, or one with sampled acquisition variability from a random stream of its own.
+    """Return the nominal protocol, or sample its acquisition variability from a separate random stream.
 
     Parameters
     ----------
@@ -338,19 +380,19 @@ def resolve_acquisition(
     nominal : Protocol
         Nominal protocol.
     subject : Knee, (Knee, Knee) tuple or Scene
-        Object to simulate; the side of one knee decides the location of the side marker.
+        Object to simulate; the side of a single knee determines the location of the side marker.
     seed : int
         Seed of the command.
 
     Returns
     -------
     Protocol
-        Protocol of this acquisition.
+        Protocol of the acquisition.
 
     Raises
     ------
     InputError
-        `acquisition` is another text.
+        `acquisition` is neither "fixed" nor "sampled".
     """
     import numpy as np
 

@@ -1,147 +1,111 @@
 """Command `study`."""
 
+import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
 from .shared_options import (
-    Bilateral,
     CohortGrades,
-    Engine,
     KneeCounts,
     Matrix,
     Out,
     Preset,
     Processes,
-    Readme,
     Scheduler,
     Seed,
-    cohort_overrides,
+    parse_knee_counts,
     parse_numbers,
+    split_names,
 )
 
-if TYPE_CHECKING:
-    from ..experiment import PatientFilms
+# Options that affect how a study runs, but not its results.
+_OF_EXECUTION = ("out", "workers", "scheduler", "config", "until")
+# Types of former options, which are now settings of the file only. The options work for one more version.
+_FormerText = Annotated[str, typer.Option(hidden=True)]
+_FormerCount = Annotated[int, typer.Option(hidden=True)]
+_FormerNumber = Annotated[float, typer.Option(hidden=True)]
+_FORMER = (
+    *("bilateral", "engine", "families", "selections", "models", "backend", "difference", "strengths"),
+    *("films_protocol", "films_pixel_mm", "films_region_mm", "curve_knees", "sobol_samples", "sensitivity_knees"),
+)
+# Functions that convert the text of an option to the setting of the same name.
+_CONVERSIONS: dict[str, Callable[[Any], Any]] = {
+    "knees": parse_knee_counts,
+    "films": str,
+    "strengths": partial(parse_numbers, "strengths"),
+    **dict.fromkeys(("protocols", "families", "selections", "models"), split_names),
+}
+# Default values of former options, which mean that the option is not given.
+_NOT_GIVEN = {"bilateral": -1, "films_pixel_mm": 0.0, "films_region_mm": 0.0}
 
 
 def study(
+    context: typer.Context,
     *,
     out: Out,
     workers: Processes,
+    config: Annotated[
+        Path | None,
+        typer.Option(
+            help="Settings file (TOML), such as study.toml of an earlier study; other options replace its settings."
+        ),
+    ] = None,
     preset: Preset = "quick",
     seed: Seed = 0,
     knees: KneeCounts = "",
-    bilateral: Bilateral = -1,
     grade_table: CohortGrades = "",
-    scheduler: Scheduler = None,
-    engine: Engine = "scanline",
-    matrix: Matrix = 0,
     protocols: Annotated[
-        str, typer.Option(help="Names or TOML files, separated by commas, instead of the preset's; one is enough.")
+        str, typer.Option(help="Names or TOML files, separated by commas, instead of those of the preset.")
     ] = "",
-    families: Annotated[str, typer.Option(help="Families of features, separated by commas; all by default.")] = "",
-    selections: Annotated[str, typer.Option(help="Feature selections, separated by commas; all by default.")] = "",
-    models: Annotated[str, typer.Option(help="Models, separated by commas; all by default.")] = "",
-    backend: Annotated[
-        str,
-        typer.Option(
-            help="Library that measures features: pyradiomics or mirp; by default the first that is installed."
-        ),
-    ] = "",
+    matrix: Matrix = 0,
     films: Annotated[
         Path | None,
-        typer.Option(help="Folder or CSV of patient radiographs by grade, on which models are tested too."),
+        typer.Option(help="Folder or CSV of patient radiographs by grade; models are tested on them as well."),
     ] = None,
-    films_protocol: Annotated[
-        str,
-        typer.Option(
-            help="Protocol of the cohort closest to that of the patient radiographs; by default the reference protocol."
-        ),
-    ] = "",
-    films_pixel_mm: Annotated[
-        float,
-        typer.Option(help="Pixel size of the comparison, mm; 0: that of the patient radiographs, if it is coarser."),
-    ] = 0.0,
-    films_region_mm: Annotated[
-        float,
-        typer.Option(
-            help="Side of the region, mm; 0: as large as 90 % of patient radiographs allow, at most the study's."
-        ),
-    ] = 0.0,
-    curve_knees: Annotated[
-        int,
-        typer.Option(
-            help="Knees for response curves to dose, kV, focal spot, scatter, pixel size, distance, tilt and rotation; "
-            "56 radiographs per knee. Half have grade 0, half grade 3 or 4 (2 if there are none). 0: none."
-        ),
-    ] = 0,
-    sobol_samples: Annotated[
-        int,
-        typer.Option(
-            help="Samples of the parameter space, 64 or more, for Sobol indices of the features; 11 radiographs per "
-            "sample. 0: none."
-        ),
-    ] = 0,
-    sensitivity_knees: Annotated[
-        int,
-        typer.Option(
-            help="Knees for the effect of one parameter at a time on the features, with the same quantum noise; 14 "
-            "radiographs per knee. 0: none."
-        ),
-    ] = 0,
-    difference: Annotated[
-        float, typer.Option(help="Difference of AUC for which power and the number of subjects are estimated.")
-    ] = 0.05,
-    strengths: Annotated[
-        str,
-        typer.Option(
-            help="Strengths of the association of age, BMI and site with grade, for the analysis of confounders: 0 to "
-            "0.95, separated by commas, 0 among them."
-        ),
-    ] = "0,0.3,0.6,0.9",
-    until: Annotated[str, typer.Option(help="report, or features: stop when the features are measured.")] = "report",
-    readme: Readme = None,
+    scheduler: Scheduler = None,
+    until: Annotated[str, typer.Option(help="Last step of the run: features or report.")] = "report",
+    bilateral: _FormerCount = -1,
+    engine: _FormerText = "",
+    families: _FormerText = "",
+    selections: _FormerText = "",
+    models: _FormerText = "",
+    backend: _FormerText = "",
+    difference: _FormerNumber = 0.05,
+    strengths: _FormerText = "",
+    films_protocol: _FormerText = "",
+    films_pixel_mm: _FormerNumber = 0.0,
+    films_region_mm: _FormerNumber = 0.0,
+    curve_knees: _FormerCount = 0,
+    sobol_samples: _FormerCount = 0,
+    sensitivity_knees: _FormerCount = 0,
 ) -> None:
     """Run the whole study: cohort, regions, features, models and report; an interrupted run continues where it stopped.
 
-    Protocols, families of features, selections and models that are left out cost no time.
+    The settings file specifies everything else: features, models, statistics and designed experiments. Every study
+    writes its settings to study.toml in the output folder. A disabled analysis costs no time.
     """
     from .. import experiment
     from ..core.checks import require_choice
     from ..core.processes.execution import Execution
     from ..core.progress_display import show_progress_bar
-    from ..io.readme_tables import open_checkout
+    from ..io.run_record import start_run_record
+    from ..study.design.experiment_settings import merge_settings, read_settings
 
     require_choice("until", until, ("features", "report"))
-    checkout = open_checkout(readme, experiment.README_TABLES, preset=preset)
+    record = start_run_record()
     execution = Execution(workers=workers, progress_bar=show_progress_bar, scheduler=scheduler)
-    wanted = {"families": families, "selections": selections, "models": models}
-    settings: dict[str, Any] = {name: tuple(listed.split(",")) for name, listed in wanted.items() if listed}
-    settings |= {"backend": backend} if backend else {}
-    settings |= {"difference": difference, "strengths": parse_numbers("strengths", strengths)}
-    overrides = cohort_overrides(knees, bilateral, protocols, grade_table, matrix=matrix)
-    # The region stays as wide as by default: 512 of the 2048 pixels of the protocols of the package.
-    settings |= {"region_px": max(16, matrix // 4)} if matrix else {}
-    own = _make_patient_films(films, films_protocol, films_pixel_mm, films_region_mm)
-    sizes = {"curve_knees": curve_knees, "sobol_samples": sobol_samples, "sensitivity_knees": sensitivity_knees}
-    made = experiment.make_experiment(
-        out,
-        execution,
-        preset=preset,
-        seed=seed,
-        engine=engine,
-        cohort=overrides,
-        settings=settings,
-        films=own,
-        design_sizes=experiment.DesignSizes(**sizes),
-    )
+    from_file = {} if config is None else read_settings(config)
+    made = experiment.make_experiment(out, execution, merge_settings(from_file, _collect_given_settings(context)))
     if until == "features":
         print(f"features  {experiment.measure_experiment(made, execution)}")
         return
     result = experiment.run_experiment(made, execution)
-    rows = experiment.collect_readme_rows(result) if readme else {}
-    checkout.update_tables(rows, result.pictures.values(), measured_with=result.report)
+    if result.origin == "this run":
+        record.save(out)
     print(f"results   of {result.origin}")
     print(f"report    {result.report}")
     for what, paths in (("picture", result.pictures), ("model", result.models)):
@@ -149,14 +113,20 @@ def study(
             print(f"{what:<10}{path}")
 
 
-def _make_patient_films(folder: Path | None, protocol: str, pixel_mm: float, region_mm: float) -> "PatientFilms | None":
-    """Make the settings of patient radiographs; None if no folder is given."""
-    from ..core.checks import InputError
-    from ..experiment import PatientFilms
-
-    if folder is not None:
-        at = {"pixel_mm": pixel_mm or None, "region_mm": region_mm or None}
-        return PatientFilms(folder=folder, protocol=protocol or None, **at)
-    if pixel_mm or region_mm or protocol:
-        raise InputError("films must be given with films-pixel-mm, films-region-mm or films-protocol, got films = none")
-    return None
+def _collect_given_settings(context: typer.Context) -> dict[str, Any]:
+    """Collect the settings that the command line gives; warn if an option moves to the settings file."""
+    given = {}
+    for name, value in context.params.items():
+        source = context.get_parameter_source(name)
+        if name in _OF_EXECUTION or source is None or source.name != "COMMANDLINE":
+            continue
+        if name in _FORMER:
+            option = f"--{name.replace('_', '-')}"
+            print(
+                f"pssf: {option} moves to the settings file; the option will be removed; set {name} in a file and "
+                "name the file with --config",
+                file=sys.stderr,
+            )
+        if value not in ("", _NOT_GIVEN.get(name)):
+            given[name] = _CONVERSIONS.get(name, lambda same: same)(value)
+    return given

@@ -1,14 +1,14 @@
-"""Cohorts: plan the knees and radiographs of a cohort, make them, export their labels, and verify the files.
+"""Cohorts: plan knees and radiographs, make the radiographs, export labels, and verify files.
 
 plan_cohort      preset, seed    -> Plan: knees, subjects, and the radiographs of each knee
-select_subjects  Plan            -> Plan with some of the subjects, equally many per grade
+select_subjects  Plan            -> Plan with a selection of subjects, equally many per grade
 plan_retest      Plan            -> Plan of repeated radiographs of some knees, with new noise and new positioning
 make_cohort      Plan, folder    -> images and a manifest; continues where an earlier run stopped
 write_labels     folder          -> labels as OAI columns, .pts files and COCO keypoints, and images sorted by grade
-verify_cohort    folder          -> every file compared with its hash; missing, changed and extra files
+verify_cohort    folder          -> list of missing, changed and extra files
 
-The folder of a cohort holds cohort.json (the request), images/*.tif and records/*.json (one per knee, written after its
-images). The finished cohort has manifest.csv with one row per radiograph.
+The folder of a cohort has cohort.json (the specification), images/*.tif, and one file records/*.json per knee, which is
+written after the images of the knee. A finished cohort also has manifest.csv with one row per radiograph.
 """
 
 from .cohort_maker import make_cohort

@@ -1,4 +1,4 @@
-"""Make the radiographs of a cohort plan, knee by knee, in processes of this machine or on a cluster."""
+"""Make the radiographs of a cohort plan, knee by knee, in local processes or on a cluster."""
 
 import json
 from collections.abc import Callable
@@ -25,29 +25,29 @@ from ..simulation import collect_versions, simulate
 from .cohort_plan import Case, Exposure, Plan
 
 Row = dict[str, Any]
-# Folders of a cohort, relative to its own folder, which is "".
+# Folders of a cohort, as paths relative to the cohort folder; "" is the cohort folder.
 SUBFOLDERS = ("", "images", "masks", "records")
-# Parts of this package on which pixels, files and manifest depend.
+# Subpackages and modules on which pixels, files and manifest depend.
 _CODE_PATHS = (
     *("anatomy", "cohort", "core", "detector", "geometry", "io", "model", "raycast", "scatter"),
-    *("image_faults.py", "precompile.py", "simulation.py", "stages.py", "xray"),
+    *("image_faults.py", "simulation.py", "stages.py", "xray"),
 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunEnvironment:
-    """Environment of a run, which every worker must have too.
+    """Environment of a run; every worker must have the same environment.
 
     Attributes
     ----------
     folder : Path
         Folder of the cohort, absolute.
     cohort_sha256 : str
-        SHA-256 hash of its cohort.json.
+        SHA-256 of cohort.json in the folder.
     versions : dict of str to str
-        Versions of the package and of all libraries that the pixels depend on.
+        Versions of the package and of all libraries on which the pixels depend, keyed by name.
     code_hashes : dict of str to str
-        Hashes of the parts of this package that they depend on (`data.code_hash.compute_code_hashes`).
+        Hashes of the code on which the pixels depend, keyed by path (`data.code_hash.compute_code_hashes`).
     """
 
     folder: Path
@@ -68,26 +68,27 @@ def make_cohort(
 ) -> Path:
     """Make the missing radiographs of a cohort and write its manifest.
 
-    The bytes do not depend on the number of workers or on the machine. If the leg would reach behind the detector, the
-    joint is moved towards the source (`raycast.detector_clearance.move_clear_of_detector`). The column ``sod_mm`` of
-    the manifest has the distance that was used.
+    The bytes do not depend on the number of workers or on the machine. If the limb would intersect the
+    detector, the joint is moved towards the source (`raycast.detector_clearance.move_clear_of_detector`). The column
+    ``sod_mm`` of the manifest has the distance that was used.
 
     Parameters
     ----------
     plan : Plan
-        Knees and radiographs.
+        Plan of knees and radiographs.
     folder : str or Path
-        Folder of this cohort. Files of an earlier run are checked against their hashes and kept.
+        Folder of the cohort. Files of an earlier run are checked against their hashes and kept.
     workers : int, optional
-        Processes of this machine, 1 to 256. None: one per core that this process may use.
+        Number of local processes, 1 to 256. None starts one process per core that this process may use.
     scheduler : str, optional
-        Address of a Dask scheduler. Its workers make the radiographs and must see the same folder under the same path.
+        Address of a Dask scheduler. Its workers make the radiographs, and must access the folder under the same path.
     engine : {"scanline", "embree"}, default "scanline"
         Ray caster; "embree" gives the same path lengths and takes fifteen times as long.
     progress : callable
-        Called with the number of new radiographs each time some are made.
+        Function that is called with the number of new radiographs when a knee is finished.
     on_kept : callable
-        Called with the number of radiographs kept from an earlier run, as they are checked, before any new one is made.
+        Function that is called with the number of checked radiographs of an earlier run, before new radiographs are
+        made.
 
     Returns
     -------
@@ -97,10 +98,10 @@ def make_cohort(
     Raises
     ------
     InputError
-        If the engine is unknown, the folder holds another cohort or a damaged file, the disk cannot be written, or the
-        scheduler cannot be used.
+        If the engine is unknown, or the folder has another cohort or a damaged file. If the disk cannot be written, or
+        the scheduler cannot be reached.
     WorkersLostError
-        If workers are killed again and again.
+        If workers are killed repeatedly.
     """
     workers = count_cores() if workers is None else workers
     require_workers(workers, "processes")
@@ -116,11 +117,11 @@ def make_cohort(
     missing = [case for case in plan.cases if case.index not in rows]
 
     def stands(index: int, made: list[Row]) -> None:
-        """Record the rows of a finished knee and report its radiographs."""
+        """Store the manifest rows of a finished knee and report its number of radiographs."""
         rows[missing[index].index] = made
         progress(len(missing[index].exposures))
 
-    # With more workers than missing knees, the spare cores trace rays as further threads of each knee.
+    # If there are more workers than missing knees, each knee uses several threads for ray casting.
     threads = 1 if scheduler else max(1, workers // max(1, len(missing)))
     site = RunEnvironment(folder=folder.absolute(), cohort_sha256=claim, versions=collect_versions(), code_hashes=code)
     shared = {"site": site, "engine": engine, "threads": threads, "masks": plan.masks}
@@ -137,15 +138,15 @@ def make_case(case: Case, site: RunEnvironment, engine: str, threads: int, masks
     Parameters
     ----------
     case : Case
-        The knee and its radiographs.
+        Knee and planned radiographs.
     site : RunEnvironment
-        Folder, versions and code that this worker must have.
+        Folder, library versions and code hashes that the worker must have.
     engine : {"scanline", "embree"}
         Ray caster.
     threads : int
-        Threads.
+        Number of threads.
     masks : {"none", "tif"}, default "none"
-        Whether to save the masks of every radiograph.
+        Format of the masks of every radiograph; "none" saves no masks.
 
     Returns
     -------
@@ -155,7 +156,7 @@ def make_case(case: Case, site: RunEnvironment, engine: str, threads: int, masks
     Raises
     ------
     InputError
-        If the folder, a library or the code differs from the machine that started the run.
+        If the folder, a library version or the code differs from the machine that started the run.
     """
     cohort_records.require_claimed_folder(site.folder / "cohort.json", site.cohort_sha256)
     for name, here in collect_versions().items():
@@ -184,7 +185,7 @@ def make_case(case: Case, site: RunEnvironment, engine: str, threads: int, masks
 
 
 def _remove_temporary_files(folder: Path) -> None:
-    """Delete temporary files that interrupted runs left behind."""
+    """Delete temporary files of interrupted runs."""
     for name in SUBFOLDERS:
         atomic_write.delete_stale_temporary_files(folder / name)
 
@@ -192,16 +193,16 @@ def _remove_temporary_files(folder: Path) -> None:
 def _load_finished_rows(
     plan: Plan, folder: Path, claim: str, workers: int, on_kept: Callable[[int], None]
 ) -> dict[int, list[Row]]:
-    """Load the rows of every knee that an earlier run finished, by index of the knee."""
+    """Load the manifest rows of every knee that an earlier run finished, keyed by knee index."""
 
     def known(case: Case) -> list[Row] | None:
-        """Read the rows of a knee if its record and files are complete, else None."""
+        """Read the manifest rows of a knee; return None if its record or a file is missing."""
         return cohort_records.read_verified_rows(
             folder, case.index, [exposure.name for exposure in case.exposures], claim
         )
 
     rows: dict[int, list[Row]] = {}
-    # Threads are enough, since hashing releases the global interpreter lock.
+    # Threads are sufficient, because hashing releases the global interpreter lock.
     with ThreadPoolExecutor(workers) as pool:
         for case, known_rows in zip(plan.cases, pool.map(known, plan.cases), strict=True):
             if known_rows is not None:
@@ -230,10 +231,14 @@ def _make_row(case: Case, exposure: Exposure, radiograph: Radiograph, relative_p
         "sha256": digest,
     }
     if exposure.retest_kind:
-        row |= {"kind": exposure.retest_kind, "turn": exposure.repeat_index, "of_knee": exposure.source_knee}
-    # The columns of the posture get a prefix, since the knee has a flexion and a rotation of its own.
+        row |= {
+            "kind": exposure.retest_kind,
+            "repeat_index": exposure.repeat_index,
+            "source_knee": exposure.source_knee,
+        }
+    # Posture columns get a prefix, because the knee also has fields for flexion and rotation.
     stands = {f"posture_{name}": protocol.pop(name) for name in asdict(exposure.protocol.posture)}
-    # The plain name is the joint space of this radiograph; the specified one has the prefix "nominal".
+    # Names without a prefix are joint spaces in the radiograph. The prefix "nominal" marks those of the specification.
     nominal = {f"nominal_{name}": knee.pop(name) for name in ("jsw_medial_mm", "jsw_lateral_mm")}
     row |= {"jsw_medial_mm": truth.jsw_medial_mm, "jsw_lateral_mm": truth.jsw_lateral_mm} | nominal
     for name in ("grade", "grade_table"):
@@ -244,7 +249,7 @@ def _make_row(case: Case, exposure: Exposure, radiograph: Radiograph, relative_p
 
 
 def _make_truth_columns(truth: Truth) -> Row:
-    """Convert labels to columns with one number each; landmarks that the view does not show are left out."""
+    """Convert labels to manifest columns with one number each; landmarks outside the view are left out."""
     columns: Row = {f"jsw_{round(1000 * at):03d}_mm": round(mm, 4) for at, mm in truth.jsw_at_mm.items()}
     for name, (row, col) in truth.landmarks_px.items():
         place = name.removesuffix("_joint_line")

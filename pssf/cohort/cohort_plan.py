@@ -28,42 +28,43 @@ from ..model.sampling.knee_sampling import (
     sample_shared_fields,
 )
 
-# Keys of the random streams under the seed of a cohort. The index of the knee comes before the key, so that the order
-# of making changes nothing. Key 4 belongs to `retest_plan`, key 6 to the response curves of the study.
-# Stream of the knee's parameters.
+# Keys of the random streams of a cohort seed. Streams of a knee have the knee index before the key, so that results do
+# not depend on the order of the knees. `retest_plan` has key 4, and the response curves of the study have key 6.
+# Stream of the knee parameters.
 _SHAPE = 0
 # Stream of the noise seeds.
 _NOISE = 3
 # Stream of the acquisition variability.
 _TAKING = 5
-# Stream of the fields that both knees of a subject share.
+# Stream of the knee fields that both knees of a subject share.
 _BODY = 2**31
 # Stream of the random numbering of subjects.
 _NUMBERS = 2**31 + 1
 # Stream of the random selection of subjects.
 _SOME = 2**31 + 2
-# Former name of a preset -> present name.
+# Current names of presets, keyed by former name.
 _FORMER_PRESET_NAMES = {"people": "population"}
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """One radiograph to be made.
+    """Plan of one radiograph.
 
     Attributes
     ----------
     name : str
-        Name of the radiograph and of its file.
+        Name of the radiograph, which is also the stem of its file.
     protocol : Protocol
-        Protocol, with sampled acquisition variability if the preset asks for it.
+        Protocol of the radiograph; it includes sampled acquisition variability if the preset requests it.
     seed : int
-        Seed of its noise.
+        Seed of the noise.
     retest_kind : {"", "noise", "perturbation"}
-        What differs from the first radiograph: the noise, or the positioning. "" if it is no repetition.
+        Difference from the first radiograph: "noise" for new noise only, "perturbation" for new positioning. "" if the
+        radiograph is not a repetition.
     repeat_index : int
-        1 or 2, number of the repetition of its kind; 0 if it is no repetition.
+        Number of the repetition with the same `retest_kind`, 1 or 2; 0 if the radiograph is not a repetition.
     source_knee : int or None
-        Index in the cohort of the knee that is imaged again; None if it is no repetition.
+        Index of the knee that is imaged again; None if the radiograph is not a repetition.
     """
 
     name: str
@@ -76,7 +77,7 @@ class Exposure:
 
 @dataclass(frozen=True)
 class Case:
-    """One knee of a subject, and the radiographs to be made of it.
+    """Plan of one knee of a subject and of its radiographs.
 
     Attributes
     ----------
@@ -87,9 +88,9 @@ class Case:
     knee : Knee
         Parameters of the knee.
     exposures : tuple of Exposure
-        Radiographs to be made.
+        Planned radiographs of the knee.
     grade_table : str
-        Name or path of the grade table that the knee was sampled from.
+        Name or path of the grade table from which the knee was sampled.
     """
 
     subject: int
@@ -101,7 +102,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Plan:
-    """Cohort before it is made.
+    """Plan of a cohort.
 
     Attributes
     ----------
@@ -116,7 +117,9 @@ class Plan:
     retested : int
         Number of knees that are imaged again (`retest_plan.plan_retest`).
     masks : {"none", "tif"}
-        Whether the masks of every radiograph are saved too.
+        Format of the masks of every radiograph; "none" saves no masks.
+    definition : CohortPreset or None
+        Preset with all replaced entries; None if the plan was not made from a preset.
     """
 
     preset: str
@@ -125,6 +128,7 @@ class Plan:
     cases: tuple[Case, ...]
     retested: int = 0
     masks: str = "none"
+    definition: CohortPreset | None = None
 
     def build_request(self) -> dict[str, Any]:
         """Collect everything that determines the pixels of the cohort.
@@ -157,7 +161,7 @@ def preset_names() -> list[str]:
     Returns
     -------
     list of str
-        Names.
+        Names of the presets.
     """
     return list(load_presets())
 
@@ -165,7 +169,7 @@ def preset_names() -> list[str]:
 def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None = None, masks: str = "none") -> Plan:
     """Plan a cohort: sample its subjects, their knees and the protocol of every radiograph.
 
-    Subjects and knees are numbered at random under the seed, so that no number and no file name predicts a grade.
+    Subjects and knees are numbered at random from the seed, so that numbers and file names do not predict grades.
 
     Parameters
     ----------
@@ -174,20 +178,20 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     seed : int
         Seed, 0 to 2**63 - 1.
     overrides : mapping of str to object, optional
-        Entries that replace those of the preset, such as ``{"knees": [2, 2, 2]}``, ``{"protocols": ["reference"]}``,
+        New values of preset entries, such as ``{"knees": [2, 2, 2]}``, ``{"protocols": ["reference"]}``,
         ``{"matrix": 512}`` or ``{"settings": ["mas=3"]}``.
     masks : {"none", "tif"}, default "none"
-        "tif" saves the masks of every radiograph too.
+        "tif" also saves the masks of every radiograph.
 
     Returns
     -------
     Plan
-        The plan.
+        Plan of the cohort.
 
     Raises
     ------
     InputError
-        If a preset, entry or protocol is unknown, or counts do not fit together.
+        If a preset, entry or protocol is unknown, or numbers of knees and subjects contradict each other.
 
     Warns
     -----
@@ -198,8 +202,8 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     -----
     Both knees of a subject share one body and one grade: sex, stature, age, size and shape of the bones, height of
     fibula and patella, fabella, cortex, limb and fat. Joint space, alignment, osteophytes, pose and trabeculae are
-    sampled for each knee separately. In patients these correlate within a grade too. The published ranges do not report
-    by how much, so no value is assumed.
+    sampled for each knee separately. In patients, these parameters of both knees also correlate within a grade. The
+    published ranges do not report the correlation, so none is assumed.
     """
     preset = _resolve_preset_name(preset)
     require_choice("preset", preset, preset_names())
@@ -228,24 +232,30 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     cases = _renumber_subjects(cases, seed)
     require_integer("retested", chosen.retested, 0, 100_000, "knees")
     return Plan(
-        preset=preset, seed=seed, repeats=chosen.repeats, cases=tuple(cases), retested=chosen.retested, masks=masks
+        preset=preset,
+        seed=seed,
+        repeats=chosen.repeats,
+        cases=tuple(cases),
+        retested=chosen.retested,
+        masks=masks,
+        definition=chosen,
     )
 
 
 def _resolve_preset_name(preset: str) -> str:
-    """Return the present name of a preset; warn if a former one is given."""
+    """Return the current name of a preset; warn if a former name is given."""
     if preset not in _FORMER_PRESET_NAMES:
         return preset
     said = (
         f"preset {preset!r} is now {_FORMER_PRESET_NAMES[preset]!r}; the former name will be removed; "
-        "use the present name"
+        "use the current name"
     )
     warnings.warn(said, DeprecationWarning, stacklevel=3)
     return _FORMER_PRESET_NAMES[preset]
 
 
 def _resolve_entry_names(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return entries of a preset under their present names; warn if a former one is given."""
+    """Return preset entries under their current names; warn if a former name is given."""
     if "grades" not in given:
         return dict(given)
     warnings.warn(
@@ -259,7 +269,7 @@ def _resolve_entry_names(given: Mapping[str, Any]) -> dict[str, Any]:
 def _require_grades(
     preset: CohortPreset, distributions: KneeDistributions, tables_by_grade: Mapping[int, Sequence[str]]
 ) -> None:
-    """Check that the grade table has all requested grades; the error names the package's tables that have them."""
+    """Require that the grade table has all requested grades; the error names tables of pssf that have the grades."""
     beyond = [grade for grade, count in enumerate(preset.knees) if count and grade not in distributions.grades.grades]
     if not beyond:
         return
@@ -273,7 +283,7 @@ def _require_grades(
 
 
 def _renumber_subjects(cases: Sequence[Case], seed: int) -> list[Case]:
-    """Number the subjects at random; knees and images stay the same and follow the new order."""
+    """Number the subjects at random and sort the cases by subject; knees and images do not change."""
     subjects = list(dict.fromkeys(case.subject for case in cases))
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_NUMBERS,)))
     number = dict(zip(subjects, rng.permutation(len(subjects)).tolist(), strict=True))
@@ -282,14 +292,14 @@ def _renumber_subjects(cases: Sequence[Case], seed: int) -> list[Case]:
 
 
 def _rename_case(case: Case, subject: int, index: int) -> Case:
-    """Give a case new numbers of subject and knee, also in the names of its radiographs."""
+    """Change the numbers of subject and knee of a case, also in the names of its radiographs."""
     before, now = radiograph_stem(case.subject, case.index), radiograph_stem(subject, index)
     exposures = tuple(replace(taken, name=now + taken.name.removeprefix(before)) for taken in case.exposures)
     return replace(case, subject=subject, index=index, exposures=exposures)
 
 
 def radiograph_stem(subject: int, index: int) -> str:
-    """Build the beginning of the names of a knee's radiographs.
+    """Build the common beginning of the names of all radiographs of a knee.
 
     Parameters
     ----------
@@ -301,22 +311,22 @@ def radiograph_stem(subject: int, index: int) -> str:
     Returns
     -------
     str
-        Text such as "s0012_k0015".
+        Beginning of the names, such as "s0012_k0015".
     """
     return f"s{subject:04d}_k{index:04d}"
 
 
-def select_subjects(plan: Plan, people: int) -> Plan:
-    """Select subjects of a plan at random under its seed, equally many per grade; their images stay the same.
+def select_subjects(plan: Plan, subjects: int) -> Plan:
+    """Select subjects of a plan at random from its seed, equally many per grade; their images do not change.
 
-    A smaller selection is part of every larger one.
+    Every larger selection includes the smaller selections.
 
     Parameters
     ----------
     plan : Plan
-        Whole cohort.
-    people : int
-        Number of subjects in all, a multiple of the number of grades.
+        Plan of the whole cohort.
+    subjects : int
+        Total number of subjects, a multiple of the number of grades.
 
     Returns
     -------
@@ -326,17 +336,17 @@ def select_subjects(plan: Plan, people: int) -> Plan:
     Raises
     ------
     InputError
-        If `people` is no multiple of the number of grades, or exceeds what the plan has.
+        If `subjects` is not a multiple of the number of grades, or is larger than the plan permits.
     """
     of_grade: dict[int | None, dict[int, None]] = {}
     for case in plan.cases:
         of_grade.setdefault(case.knee.grade, {})[case.subject] = None
-    each, rest = divmod(people, len(of_grade))
+    each, rest = divmod(subjects, len(of_grade))
     most = min(map(len, of_grade.values()))
     if rest or not 1 <= each <= most:
         raise InputError(
-            f"people must be a multiple of {len(of_grade)}, the number of grades, up to {most * len(of_grade)}, "
-            f"got {people}"
+            f"subjects must be a multiple of {len(of_grade)}, the number of grades, up to {most * len(of_grade)}, "
+            f"got {subjects}"
         )
     rng = np.random.default_rng(np.random.SeedSequence(plan.seed, spawn_key=(_SOME,)))
     chosen = {subject for whole in of_grade.values() for subject in rng.permutation(list(whole))[:each].tolist()}
@@ -344,13 +354,13 @@ def select_subjects(plan: Plan, people: int) -> Plan:
 
 
 def _assign_subjects(knees: Sequence[int], bilateral: int) -> list[tuple[int, int, str | None]]:
-    """Assign subject, grade and side to every knee; bilateral subjects come from each grade in proportion."""
+    """Assign subject, grade and side to every knee; bilateral subjects are distributed in proportion over grades."""
     for grade, count in enumerate(knees):
         require_integer(f"knees of grade {grade}", count, 0, 100_000, "")
     total = sum(knees)
     require_integer("bilateral", bilateral, 0, total // 2, "subjects")
     if total == 0:
-        raise InputError("knees must sum to 1 or more, got sum(knees) = 0")
+        raise InputError("knees must be 1 or more in total, got sum(knees) = 0")
     pairs = [int(count * bilateral / total) for count in knees]
     for grade in sorted(range(len(knees)), key=lambda g: pairs[g] - knees[g] * bilateral / total):
         if sum(pairs) < bilateral and 2 * (pairs[grade] + 1) <= knees[grade]:
@@ -368,14 +378,14 @@ def _assign_subjects(knees: Sequence[int], bilateral: int) -> list[tuple[int, in
 
 
 def _resample(protocol: Protocol, matrix: int) -> Protocol:
-    """Change the number of pixels of a protocol; 0 leaves it unchanged."""
+    """Change the number of pixels of a protocol; a matrix of 0 returns the same protocol."""
     return protocol.resample(matrix) if matrix else protocol
 
 
 def _make_variants(protocol: Protocol, preset: CohortPreset) -> list[Protocol]:
-    """Make the protocol at every tilt and, within one tilt, at every dose.
+    """Make variants of a protocol for every beam tilt, and for every dose at each tilt.
 
-    Variants of one geometry follow each other, so that they can share their path lengths.
+    Variants with the same geometry are consecutive, so that they can share path lengths.
     """
     variants = []
     for tilt_deg in preset.tilts_deg:
@@ -388,7 +398,7 @@ def _make_variants(protocol: Protocol, preset: CohortPreset) -> list[Protocol]:
 
 
 class _KneeSlot(NamedTuple):
-    """Place of one knee in a cohort: subject, grade and side; a side of None is sampled."""
+    """Arguments for sampling one knee: seed, index, subject, grade and side; None means that the side is sampled."""
 
     seed: int
     knee_index: int
@@ -400,7 +410,7 @@ class _KneeSlot(NamedTuple):
 def _sample_case(
     slot: _KneeSlot, protocols: list[Protocol], preset: CohortPreset, distributions: KneeDistributions
 ) -> Case:
-    """Sample the knee of a slot and the protocol and noise seed of each of its radiographs."""
+    """Sample one knee, and the protocol and noise seed of each of its radiographs."""
     seed, number, subject, grade, side = slot
     fixed = dict(_sample_subject_fields(seed, subject, grade, distributions))
     if side is not None:
@@ -420,8 +430,8 @@ def _sample_case(
     return Case(subject=subject, index=number, knee=knee, exposures=tuple(exposures), grade_table=preset.grade_table)
 
 
-@lru_cache(maxsize=1)  # The other knee of a subject follows directly.
+@lru_cache(maxsize=1)  # One result is cached, because the other knee of the same subject is sampled next.
 def _sample_subject_fields(seed: int, subject: int, grade: int, distributions: KneeDistributions) -> Mapping[str, Any]:
-    """Sample the fields that the knees of a subject share, from a stream of the subject's own."""
+    """Sample the fields that both knees of a subject share, from a separate random stream of the subject."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BODY, subject)))
     return sample_shared_fields(distributions, grade=grade, rng=rng)

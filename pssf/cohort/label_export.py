@@ -17,9 +17,9 @@ from ..model.knee import Knee
 from ..model.limb_axes import STRAIGHT_LEG_DEG
 from ..model.radiograph import Truth
 
-# Side -> code in the column SIDE of the Osteoarthritis Initiative.
+# Codes in the column SIDE of the Osteoarthritis Initiative, keyed by side of the knee.
 _SIDE_CODES = {"right": 1, "left": 2}
-# Readings that are exported under the name and in the sign convention of the Osteoarthritis Initiative only.
+# Readings that are exported only with the name and sign convention of the Osteoarthritis Initiative.
 _OAI_RENAMED_READINGS = ("hip_knee_ankle_deg",)
 
 
@@ -31,35 +31,35 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
     cohort : str or Path
         Folder that `make_cohort` has filled.
     out : str or Path
-        Folder to write into; must be another one.
+        Output folder; must differ from `cohort`.
 
     Returns
     -------
     list of Path
-        Paths of readings.csv, coco.json, landmarks and images.
+        Paths of readings.csv and coco.json, and of the folders landmarks and images.
 
     Raises
     ------
     InputError
-        If `cohort` holds no complete cohort or a radiograph that is not frontal, `out` is the same folder, or the disk
-        is full or cannot be written.
+        If `cohort` has no complete cohort, or has a radiograph that is not frontal. If `out` is the same folder. If the
+        disk is full or cannot be written.
 
     Notes
     -----
-    ``readings.csv`` has one row per radiograph. The columns have the names of the Osteoarthritis Initiative, whose
-    tables put the visit in front, as in V00MCMJSW:
+    ``readings.csv`` has one row per radiograph. The following columns have the names of the Osteoarthritis
+    Initiative (OAI), without the prefix of the visit, such as V00:
 
     - ID; SIDE (1 right, 2 left); XRKL and the OARSI grades (`model.oarsi_grades`).
     - HKANGLE, hip-knee-ankle angle in degrees; varus is negative.
     - MCMJSW, minimum medial joint space; JSW150 to JSW300 (medial) and LJSW700 to LJSW900 (lateral); mm.
 
-    Further columns have names of this package:
+    Further columns have names of pssf:
 
-    - XRKL_READ, grade of a simulated reader, if there is one.
-    - jsw_medial_mm (the same as MCMJSW) and jsw_lateral_mm, minimum joint spaces of this radiograph.
-    - nominal_jsw_medial_mm and nominal_jsw_lateral_mm, joint spaces that the knee was specified with.
-    - inter_margin_mm, height of the front margin of the medial plateau above its back margin. TPCFDS of the Initiative,
-      from plateau to rim, has no sign.
+    - XRKL_READ, grade of the simulated reader; absent without a simulated reader.
+    - jsw_medial_mm (the same as MCMJSW) and jsw_lateral_mm, minimum joint spaces in the radiograph.
+    - nominal_jsw_medial_mm and nominal_jsw_lateral_mm, joint spaces in the specification of the knee.
+    - inter_margin_mm, height of the anterior margin of the medial plateau above its posterior margin. The OAI column
+      TPCFDS, the distance from plateau to rim, has no sign.
     - depths of attrition in mm, femorotibial angle, tibial slope and Insall-Salvati ratio (`model.limb_axes`).
 
     ``landmarks/*.pts`` has the sixteen contour landmarks, ``coco.json`` the same as COCO keypoints.
@@ -67,12 +67,12 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
     """
     cohort, out = Path(cohort), Path(out)
     if out.resolve() == cohort.resolve():
-        raise InputError(f"out must be another folder than the cohort's own folder, got {out}")
+        raise InputError(f"out must be another folder than the folder of the cohort, got {out}")
     manifest = cohort / "manifest.csv"
     if not manifest.exists():
-        raise InputError(f"folder must hold a finished cohort with manifest.csv, got {cohort}")
+        raise InputError(f"folder must have a finished cohort with manifest.csv, got {cohort}")
     listed = read_csv(manifest, ("radiograph", "subject", "file"))
-    # All radiographs are checked before anything is written, so that no export stops half way.
+    # All radiographs are checked before the first file is written, so that no export is incomplete.
     for made in listed:
         _require_contours(cohort, made["file"])
     make_folder(out)
@@ -98,10 +98,10 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
 
 
 def _require_contours(cohort: Path, file: str) -> None:
-    """Check that a radiograph shows one knee from the front, with its contour landmarks."""
+    """Require that a radiograph shows one knee in a frontal view, with its contour landmarks."""
     made = load_parameters(cohort / file)
     if made["knee"] is None or made["truth"] is None:
-        raise InputError(f"file {file} must be a radiograph of one knee, as a cohort has them, got one without a knee")
+        raise InputError(f"file {file} must be a radiograph of one knee, got a radiograph without a knee")
     if not set(CONTOUR_LANDMARKS) <= set(made["truth"].landmarks_px):
         seen = made["protocol"].projection
         raise InputError(f"file {file}: projection must be AP or PA, which show the contours, got {seen!r}")

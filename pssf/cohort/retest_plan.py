@@ -13,40 +13,41 @@ from .cohort_plan import (
     radiograph_stem,
 )
 
-# Key of the random stream under the index of a knee; `cohort_plan` uses the others.
+# Key of the random stream of repeated radiographs; `cohort_plan` has the other keys.
 _RETEST_STREAM = 4
 # Change of rotation on repositioning, in degrees (assumed: the precision of a careful radiographer).
 _ROTATION_DEG = 2.0
-# Change of flexion on repositioning, in degrees (assumed, likewise).
+# Change of flexion on repositioning, in degrees (assumed: the precision of a careful radiographer).
 _FLEXION_DEG = 2.0
-# Change of beam angle on repositioning, in degrees (assumed, likewise).
+# Change of beam angle on repositioning, in degrees (assumed: the precision of a careful radiographer).
 _BEAM_DEG = 1.0
 
 
 def plan_retest(plan: Plan, *, reference: str = "reference") -> Plan | None:
     """Plan repeated radiographs of some knees of a cohort under one protocol.
 
-    The knees are balanced over the grades, one per subject. Each knee is imaged twice with new noise, and twice after
-    repositioning, in opposite directions. Repositioning changes rotation and flexion by 2 degrees (flexion not below 0)
-    and the beam by 1 degree, with random signs and new noise.
+    The knees are balanced over the grades, with one knee per subject. Each knee is imaged twice with new noise, and
+    twice after repositioning in opposite directions. Repositioning changes rotation and flexion by 2 degrees and the
+    beam angle by 1 degree, with random signs. Flexion is at least 0. Each radiograph has new noise.
 
     Parameters
     ----------
     plan : Plan
         Cohort; `Plan.retested` is the number of knees to repeat.
     reference : str, default "reference"
-        Name of the protocol.
+        Name of the protocol of the repeated radiographs.
 
     Returns
     -------
     Plan or None
-        Plan of the repeated radiographs, with masks. `Exposure.retest_kind` says what differs. A repositioned knee is a
-        case of its own, with an index beyond those of `plan`. None if the plan repeats no knee.
+        Plan of the repeated radiographs, with masks. `Exposure.retest_kind` is "noise" or "perturbation". A
+        repositioned knee is a separate case, whose index is larger than all indices of `plan`. None if the plan repeats
+        no knee.
 
     Raises
     ------
     InputError
-        If the plan does not have the protocol.
+        If `reference` is not a protocol of the plan.
     """
     if not plan.retested:
         return None
@@ -57,12 +58,12 @@ def plan_retest(plan: Plan, *, reference: str = "reference") -> Plan | None:
     for case in _select_balanced_cases(plan):
         at = beyond + 2 * case.index
         cases += _make_retest_cases(plan.seed, case, protocols[reference], at)
-    # These radiographs are few, so their masks are saved; the study compares segmented bone with them.
+    # Masks are saved, because the study compares segmented bones with them. The repeated radiographs are few.
     return Plan(preset=f"{plan.preset}, retest", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases), masks="tif")
 
 
 def _select_balanced_cases(plan: Plan) -> list[Case]:
-    """Select `plan.retested` cases, or as many as there are subjects: the grades in turn give their next subject."""
+    """Select `plan.retested` cases, at most one per subject; grades take turns, in the order of the subjects."""
     queues: dict[int | None, list[Case]] = {}
     seen: set[int] = set()
     for case in plan.cases:
@@ -75,13 +76,13 @@ def _select_balanced_cases(plan: Plan) -> list[Case]:
 
 
 def _make_retest_cases(seed: int, case: Case, protocol: Protocol, first_index: int) -> list[Case]:
-    """Make the repetitions of one knee: two with new noise, two repositioned in opposite directions."""
+    """Make the cases of one knee: two radiographs with new noise, two after repositioning in opposite directions."""
     root = np.random.SeedSequence(seed, spawn_key=(case.index, _RETEST_STREAM))
     states = [int(state >> np.uint64(1)) for state in root.generate_state(4, np.uint64)]
     signs = np.random.default_rng(root.spawn(1)[0]).choice([-1.0, 1.0], 3)
 
     def exposure(kind: str, turn: int, protocol: Protocol, seed: int) -> Exposure:
-        """Make one repetition of the knee's radiograph."""
+        """Plan one repeated radiograph of the knee."""
         name = f"{radiograph_stem(case.subject, case.index)}_{kind}{turn}"
         return Exposure(name, protocol, seed, kind, turn, source_knee=case.index)
 

@@ -1,4 +1,4 @@
-"""Verify the folder of a cohort against the hashes that were written when it was made."""
+"""Verify the files of a cohort against the hashes in its manifest and records."""
 
 import os
 from collections.abc import Iterator
@@ -21,11 +21,11 @@ class Verification:
     Attributes
     ----------
     radiographs : int
-        Radiographs in the manifest.
+        Number of radiographs in the manifest.
     files : int
-        Files that the cohort must have.
+        Number of files that the cohort must have.
     faults : tuple of str
-        One line per fault: the file, relative to the folder, and what is wrong with it.
+        One line per fault: the file, relative to the folder, and the kind of fault.
     """
 
     radiographs: int
@@ -36,8 +36,8 @@ class Verification:
 def verify_cohort(folder: str | Path) -> Verification:
     """Verify that a cohort is complete, unchanged and without extra files.
 
-    Every image must have the hash that the manifest names. Every record has a hash of its own. The manifest must equal,
-    byte by byte, what the records give.
+    Every image must have the hash that the manifest lists. Every record must match the hash in the record. The manifest
+    must equal the manifest made from the records, byte by byte.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def verify_cohort(folder: str | Path) -> Verification:
     Returns
     -------
     Verification
-        Counts, and one line per fault.
+        Numbers of radiographs and files, and one line per fault.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def verify_cohort(folder: str | Path) -> Verification:
     """
     folder = Path(folder)
     if not os.path.exists(folder / "cohort.json"):
-        raise InputError(f"folder must be made by pssf cohort, got {folder}: it has no cohort.json")
+        raise InputError(f"folder must be made by pssf cohort, got {folder}: the folder has no cohort.json")
     rows, faults = _read_manifest(folder)
     claim, asked = _check_cohort_request(folder, rows)
     faults += asked
@@ -88,10 +88,12 @@ def _read_manifest(folder: Path) -> tuple[list[Row], list[str]]:
 
 
 def _check_cohort_request(folder: Path, rows: list[Row]) -> tuple[str, list[str]]:
-    """Return the hash of cohort.json, and a fault if the manifest does not have the radiographs that it requests."""
+    """Return the hash of cohort.json, and a fault if the manifest has other radiographs than cohort.json."""
     path = folder / "cohort.json"
     try:
-        asked: cohort_records.CohortFile = read_json(path, cohort_records.CohortFile, allowed="the request of a cohort")
+        asked: cohort_records.CohortFile = read_json(
+            path, cohort_records.CohortFile, allowed="the specification of a cohort"
+        )
     except InputError as error:
         return "", [f"cohort.json: damaged ({error})"]
     wanted = [(knee.index, name) for knee in asked.knees for name in knee.radiographs]
@@ -102,7 +104,7 @@ def _check_cohort_request(folder: Path, rows: list[Row]) -> tuple[str, list[str]
 
 
 def _list_file_hashes(rows: list[Row]) -> dict[str, str]:
-    """List the hash in the manifest per file; files are relative to the folder."""
+    """List the hashes of all files in the manifest, keyed by path relative to the folder."""
     return {file: digest for row in rows for file, digest in row["files"].items()}
 
 
@@ -122,7 +124,7 @@ def _check_file(folder: Path, file: str, expected_sha256: str) -> Iterator[str]:
 
 
 def _check_records(folder: Path, rows: list[Row], claim: str) -> Iterator[str]:
-    """Yield faults of the records: damaged, missing, of another request, or not what the manifest has.
+    """Yield faults of the records: damaged, missing, made for another cohort.json, or different from the manifest.
 
     `claim` is the hash of cohort.json, or "" if that file is damaged.
     """
@@ -142,14 +144,14 @@ def _check_records(folder: Path, rows: list[Row], claim: str) -> Iterator[str]:
             whole = False
             yield f"{path.relative_to(folder)}: {'damaged' if path.exists() else 'missing'} ({error})"
     if others and len(others) == len({row["knee"] for row in rows}):
-        others = ["cohort.json: changed (the records were made for another one)"]
+        others = ["cohort.json: changed (the records were made for another cohort.json)"]
     yield from others
     if rows and whole and not cohort_records.has_content(folder / "manifest.csv", cohort_records.encode_csv(given)):
         yield "manifest.csv: changed (it differs from the records of its knees)"
 
 
 def _find_extra_files(folder: Path, rows: list[Row]) -> Iterator[str]:
-    """Yield the files that the manifest does not name."""
+    """Yield a fault for each file that the manifest does not list."""
     named = {folder / file for file in _list_file_hashes(rows)} | {
         cohort_records.record_path(folder, row["knee"]) for row in rows
     }

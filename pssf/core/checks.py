@@ -1,4 +1,4 @@
-"""Input checks: every error names the argument, what is allowed, and the value that was given."""
+"""Check input; every error names the argument, the allowed values and the given value."""
 
 import math
 import re
@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
-# Longest word that a message shows in full, in characters. No real path or number is as long.
+# Length of a word, in characters, from which a message shortens the word. Real paths and numbers are shorter.
 _LONG = 600
-# Characters of a longer word that a message keeps at either end.
+# Number of characters that a message keeps at each end of a shortened word.
 _KEPT = 80
 
 
@@ -53,7 +53,7 @@ def format_one_line(text: str) -> str:
 
 
 def _shorten_word(word: re.Match[str]) -> str:
-    """Keep both ends of a long word, and state its length between them."""
+    """Keep the beginning and end of a long word, and write its length between them."""
     return f"{word[0][:_KEPT]}...({len(word[0])} characters)...{word[0][-_KEPT:]}"
 
 
@@ -91,7 +91,7 @@ def require_path(path: Any, name: str = "path") -> Path:
     Returns
     -------
     Path
-        The path.
+        Path made from the argument.
 
     Raises
     ------
@@ -164,7 +164,7 @@ def require_workers(workers: int, unit: str = "threads") -> None:
     workers : int
         Number to check.
     unit : str, default "threads"
-        What the workers are, in the error message.
+        Unit of the number in the error message, such as "threads".
 
     Raises
     ------
@@ -199,17 +199,17 @@ def resolve_generator(rng: RNGLike) -> np.random.Generator:
     Parameters
     ----------
     rng : int or numpy.random.Generator
-        Seed from 0 to 2**63 - 1, or a generator. A given generator is not copied, so that its state advances.
+        Seed from 0 to 2**63 - 1, or a generator. A given generator is not copied, so sampling advances its state.
 
     Returns
     -------
     numpy.random.Generator
-        The generator to sample from.
+        Generator for sampling.
 
     Raises
     ------
     InputError
-        For any other value. None is not allowed either: every random result must be reproducible.
+        If `rng` is neither a seed nor a generator. None is not allowed, because random results must be reproducible.
     """
     return rng if isinstance(rng, np.random.Generator) else np.random.default_rng(resolve_seed(rng))
 
@@ -230,7 +230,7 @@ def resolve_seed(rng: RNGLike) -> int:
     Raises
     ------
     InputError
-        For anything but a whole number from 0 to 2**63 - 1 or a generator.
+        If `rng` is neither a whole number from 0 to 2**63 - 1 nor a generator.
     """
     if isinstance(rng, np.random.Generator):
         return int(rng.integers(2**63))
@@ -256,7 +256,7 @@ def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
     Raises
     ------
     InputError
-        If the value is not in the list.
+        If the value is not one of the allowed values.
     """
     if not any(_is_same(value, one) for one in allowed):
         raise InputError(
@@ -266,7 +266,7 @@ def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
 
 
 def _is_same(value: Any, allowed_value: Any) -> bool:
-    """Compare a value with an allowed one, including its type: True and 1.0 equal 1 in Python, but are no grade."""
+    """Compare value and type: True and 1.0 equal 1 in Python, but are not a grade."""
     kinds = [
         next((kind for kind in (bool, Integral, str) if isinstance(of, kind)), type(of))
         for of in (value, allowed_value)
@@ -282,14 +282,14 @@ def build_from_table(dataclass_type: type[T], table: Mapping[str, Any], label: s
     dataclass_type : type
         Dataclass to construct.
     table : mapping of str to Any
-        Field name -> value, as read from a TOML or JSON file.
+        Field values, as read from a TOML or JSON file, keyed by field name.
     label : str
         Name of the file or object in the error message.
 
     Returns
     -------
     dataclass instance
-        The constructed object.
+        Object of the given dataclass.
 
     Raises
     ------
@@ -325,18 +325,18 @@ def suggest_name(value: Any, allowed: Collection[Any]) -> str:
     Parameters
     ----------
     value : Any
-        Text given by the user. Other values get no suggestion.
+        Value given by the user. Only text gets a suggestion.
     allowed : collection
         Valid names.
 
     Returns
     -------
     str
-        " (did you mean '...'?)" with the nearest name, or an empty string if no name is near.
+        " (did you mean '...'?)" with the nearest name; an empty string if no name is near.
 
     Notes
     -----
-    A name is near if its spelling is similar, or if the text is one of its words: ``kv`` is near ``tube_kv``.
+    A name is near if its spelling is similar, or if the text is a word of the name: ``kv`` is near ``tube_kv``.
     """
     if not isinstance(value, str) or not value:
         return ""

@@ -1,6 +1,6 @@
-"""Log message at the first compilation of a kernel, which delays a process by some seconds.
+"""Log a message at the first compilation of a kernel, which delays a process by some seconds.
 
-numba keeps compiled code on disk, so that compilation happens once per installation or change of the code. Importing
+numba stores compiled code on disk, so compilation happens once per installation or change of the code. The import of
 this module registers the listener.
 """
 
@@ -25,10 +25,10 @@ class _FirstCompilationLogger(event.Listener):
     def on_start(self, event: Any) -> None:
         """Log the message if a kernel of this package is compiled for the first time."""
         module = getattr(event.data["dispatcher"].py_func, "__module__", "") or ""
-        # The parent is looked up here, since a new worker process imports this module before it knows its parent.
+        # The parent is determined here, because a new worker process imports this module before it knows its parent.
         if not self.was_logged and parent_process() is None and module.split(".")[0] == "pssf":
             self.was_logged = True
-            # Python shows warnings even if logging is not configured.
+            # The level is WARNING, which Python prints even if logging is not configured.
             _LOG.warning(_MESSAGE)
 
     def on_end(self, event: Any) -> None:

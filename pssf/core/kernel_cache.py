@@ -1,7 +1,7 @@
-"""Cache of compiled kernels on disk, in which every fault of a file or folder counts as a cache miss.
+"""Cache of compiled kernels on disk, which treats every fault of a file or folder as a cache miss.
 
-numba itself raises whatever error a damaged cache file causes in pickle. It also refuses to define a function if
-neither the source folder nor the user's cache folder is writable. With `KernelCache` such faults cost one compilation.
+The cache of numba raises an error if a file is damaged, or if neither the source folder nor the user's cache folder is
+writable. `KernelCache` compiles the function again instead.
 """
 
 import hashlib
@@ -36,14 +36,14 @@ def make_kernel_cache(function: Any) -> FunctionCache | NullCache:
     FunctionCache or NullCache
         The cache, or a cache that stores nothing if no folder is writable.
     """
-    # Any failure to create the cache is harmless: numba then compiles without one.
+    # Any failure to create the cache is harmless, because numba can compile without a cache.
     with suppress(Exception):
         return KernelCache(function)
     return NullCache()
 
 
 class _TemporaryLocator(_SourceFileBackedLocatorMixin, _CacheLocator):
-    """Locate the cache in a private folder below the folder for temporary files, which no other user can write to."""
+    """Locate the cache in a private subfolder of the folder for temporary files; other users cannot write to it."""
 
     def __init__(self, function: Any, file: str) -> None:
         self._py_file = file
@@ -56,7 +56,7 @@ class _TemporaryLocator(_SourceFileBackedLocatorMixin, _CacheLocator):
         Raises
         ------
         OSError
-            If a folder cannot be created, or if other users can write to the upper one.
+            If a folder cannot be created, or if other users can write to the private folder.
         """
         with suppress(FileExistsError):
             self._folder.mkdir(mode=0o700)
@@ -69,33 +69,34 @@ class _TemporaryLocator(_SourceFileBackedLocatorMixin, _CacheLocator):
 
 
 def _user_id() -> str:
-    """Return the numeric user id as text, or "user" where the system has no ids."""
+    """Return the numeric user id as text, or "user" on systems without user ids."""
     return str(os.getuid()) if hasattr(os, "getuid") else "user"
 
 
 def _require_private_folder(folder: Path) -> None:
-    """Raise PermissionError for a folder that another user owns or can write to, since code from cache files is run."""
+    """Raise PermissionError if another user owns a folder or can write to it, because code from cache files is run."""
     state = folder.lstat()
     own = not hasattr(os, "getuid") or (state.st_uid == os.getuid() and not state.st_mode & 0o022)
     if not (stat.S_ISDIR(state.st_mode) and own):
-        raise PermissionError(f"{folder} is not this user's alone")
+        raise PermissionError(f"another user can write to folder {folder}")
 
 
 class _CacheFiles(CompileResultCacheImpl):  # type: ignore[misc]
-    """Choose the cache folder as numba does, with the folder for temporary files as last resort."""
+    """Choose the cache folder as numba does, and use the folder for temporary files as the last choice."""
 
-    _locator_classes = [*CompileResultCacheImpl._locator_classes, _TemporaryLocator]  # noqa: RUF012  numba uses a list
+    _locator_classes = [*CompileResultCacheImpl._locator_classes, _TemporaryLocator]  # noqa: RUF012  numba reads this attribute as a list.
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
-    """Store the type signature and a hash with the code, so that code that is altered or of other types is not run.
+    """Store the type signature and a hash with the code, and load the code only if both match.
 
-    Two processes that compile a function for different types at the same time give both results the same file name.
+    The signature is needed, because two processes that compile a function for different types at the same time choose
+    the same file name.
     """
 
     def _load_index(self) -> Any:
         """Load the index of the cache; return an empty index if the file is damaged."""
-        # A damaged index can raise any error in pickle. The next function that is saved rewrites it.
+        # A damaged index can raise any error in pickle. The next save writes a new index.
         with suppress(Exception):
             return super()._load_index()
         return {}
@@ -118,7 +119,7 @@ class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
 
 
 class KernelCache(FunctionCache):  # type: ignore[misc]
-    """Keep the compiled code of one function on disk; any failure counts as a cache miss.
+    """Store the compiled code of one function on disk; treat any failure as a cache miss.
 
     Parameters
     ----------
@@ -149,19 +150,19 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         sig : numba signature
             Types of the arguments.
         target_context : numba target context
-            Processor that the code is compiled for.
+            Processor for which the code is compiled.
 
         Returns
         -------
         Any
-            The compiled code, or None if there is none or the file is damaged.
+            The compiled code; None if no code is stored or the file is damaged.
         """
         with suppress(Exception):  # A damaged file can raise any error in pickle.
             return super().load_overload(sig, target_context)
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Save the compiled code for a signature; do nothing if the disk cannot be written.
+        """Save the compiled code for a signature; do nothing if the file cannot be written.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Check of keyword arguments: unknown names raise an error with a suggestion, earlier names work with a warning."""
+"""Check keyword arguments: reject unknown names with a suggestion, accept earlier names with a warning."""
 
 import inspect
 import warnings
@@ -15,17 +15,17 @@ _KEYWORD_KINDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_O
 def check_keywords(**earlier: str) -> Callable[[F], F]:
     """Decorate a function or dataclass so that its keyword arguments are checked before it is called.
 
-    An unknown keyword raises InputError with the nearest valid name. An earlier name is accepted for its current name.
+    An unknown keyword raises InputError with the nearest valid name. An earlier name is replaced by the current name.
 
     Parameters
     ----------
     **earlier : str
-        Earlier name -> current name.
+        Current name of each keyword argument, keyed by earlier name.
 
     Returns
     -------
     callable
-        The decorator.
+        Decorator of a function or dataclass.
 
     Warns
     -----
@@ -63,7 +63,7 @@ def _resolve_keywords(
         now = earlier.get(name, name)
         if now != name:
             if now in named:
-                raise InputError(f"{target_name}: {now} must be given once, got {name} as well, its earlier name")
+                raise InputError(f"{target_name}: got both {now} and its former name {name}; give only {now}")
             warnings.warn(
                 f"{target_name}: {name} is now {now}; the earlier name will be removed; use {now}",
                 DeprecationWarning,
@@ -83,32 +83,32 @@ def update_field_names(table: Mapping[str, Any], earlier: Mapping[str, str], lab
     Parameters
     ----------
     table : mapping of str to Any
-        Field name -> value.
+        Field values, keyed by field name.
     earlier : mapping of str to str
-        Earlier name -> current name.
+        Current field names, keyed by earlier name.
     label : str
-        Name of the file or object, which begins every message.
+        Name of the file or object, with which every message begins.
 
     Returns
     -------
     dict of str to Any
-        The table under current names.
+        Field values, keyed by current field name.
 
     Raises
     ------
     InputError
-        If a field is given under both names.
+        If the table has both names of a field.
 
     Warns
     -----
     DeprecationWarning
-        If a field has its earlier name.
+        If the table has an earlier name.
     """
     return _resolve_keywords(label, table, (), earlier, accepts_any=True)
 
 
 def renamed_attribute(name: str) -> property:
-    """Make a property that stands for an attribute under its earlier name.
+    """Make a property for the earlier name of an attribute.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def renamed_attribute(name: str) -> property:
     Returns
     -------
     property
-        Gives the attribute of that name and warns with a DeprecationWarning.
+        Property that returns the attribute `name` and issues a DeprecationWarning.
     """
 
     def get(self: Any) -> Any:

@@ -1,8 +1,9 @@
 """Decorators that compile functions with numba and cache the code on disk.
 
-Compiled code is kept beside the source, in the user's cache folder or in a temporary folder (`kernel_cache`). The first
-call after an installation waits for the compilation. To shorten this wait, no wrapper for C is compiled. Functions that
-only compiled functions call (`kernel_helper`) get no wrapper for Python either: it would take as long as the function.
+Compiled code is stored in the source folder, the user's cache folder or a temporary folder (`kernel_cache`). The first
+call after an installation waits for the compilation. To shorten the wait, no wrapper for C is compiled. Functions that
+only compiled functions call (`kernel_helper`) also get no wrapper for Python, because it takes as long to compile as
+the function.
 """
 
 from collections.abc import Callable
@@ -15,13 +16,13 @@ from numba.core.dispatcher import Dispatcher
 from . import compile_notice  # noqa: F401  The import registers the log message at the first compilation.
 from .kernel_cache import make_kernel_cache
 
-# Decorator of functions that only compiled functions call; their code is cached as a part of the caller's.
-# Such a function has no wrapper for Python: a call from Python crashes.
+# Decorator of functions that only compiled functions call; their code is cached with the code of the caller.
+# A decorated function has no wrapper for Python, so a call from Python crashes.
 kernel_helper = partial(njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True, no_cpython_wrapper=True)
 
 
 def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorate a function that is called from Python so that it is compiled, and cached on disk.
+    """Make a decorator that compiles a function which Python calls, and caches the compiled code on disk.
 
     Parameters
     ----------
@@ -31,7 +32,7 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     Returns
     -------
     callable
-        The decorator. In the compiled function a division by 0 follows numpy's rule, which needs no branch.
+        The decorator. In the compiled function a division by 0 gives inf or nan, as in numpy, which needs no branch.
     """
     compiled = partial(njit, nogil=True, error_model="numpy", no_cfunc_wrapper=True)(**options)
 

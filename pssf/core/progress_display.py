@@ -1,13 +1,11 @@
-"""Progress display on standard error: a bar with rate and time left on a terminal, plain lines elsewhere."""
+"""Show progress on standard error: a bar with rate and remaining time on a terminal, otherwise lines of text."""
 
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from datetime import timedelta
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn, TimeElapsedColumn
-from rich.text import Text
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from .stage_timer import Stage
 
@@ -16,7 +14,7 @@ from .stage_timer import Stage
 def show_progress_bar(name: str, stage: Stage) -> Iterator[None]:
     """Show the progress of a stage while the context is open.
 
-    A terminal shows a bar with rate and time left. Anything else gets a line of text at each tenth of the work.
+    On a terminal, a bar shows rate and remaining time. Otherwise a line of text is printed at each tenth of the work.
 
     Parameters
     ----------
@@ -28,7 +26,7 @@ def show_progress_bar(name: str, stage: Stage) -> Iterator[None]:
     Yields
     ------
     None
-        The display ends with the context.
+        The display ends at the end of the block.
     """
     console = Console(stderr=True)
     if not console.is_terminal:
@@ -40,7 +38,8 @@ def show_progress_bar(name: str, stage: Stage) -> Iterator[None]:
         BarColumn(),
         MofNCompleteColumn(),
         TimeElapsedColumn(),
-        _RateColumn(),
+        # TimeRemainingColumn of rich is not used, because its rate would include the items of an earlier run.
+        TextColumn("{task.fields[stage].rate_text}", style="progress.remaining"),
     )
     with Progress(*columns, console=console) as progress:
         task = progress.add_task(name, total=stage.total, stage=stage)
@@ -48,7 +47,9 @@ def show_progress_bar(name: str, stage: Stage) -> Iterator[None]:
         try:
             yield
         except BaseException:
-            progress.live.transient = True  # The bar is removed, so that the error message stands alone.
+            progress.live.transient = (
+                True  # After an error the bar is removed, so that only the error message is visible.
+            )
             raise
 
 
@@ -56,17 +57,17 @@ def show_progress_bar(name: str, stage: Stage) -> Iterator[None]:
 def show_status(message: str) -> Iterator[Callable[[str], None]]:
     """Show a message on standard error while the context is open.
 
-    Without a terminal the first message is not shown; each later one is a line.
+    Without a terminal the first message is not shown, and each later message is printed as a line.
 
     Parameters
     ----------
     message : str
-        What is being waited for.
+        Text of the message, such as "measuring".
 
     Yields
     ------
     callable
-        Function that replaces the message by another text.
+        Function that replaces the message by the text it is called with.
     """
     console = Console(stderr=True)
     if not console.is_terminal:
@@ -84,7 +85,7 @@ def _make_tenths_reporter(name: str, stage: Stage) -> Callable[[int], None]:
         nonlocal said
         if stage.newly_done and 10 * done // max(1, stage.total) > said:
             said = 10 * done // max(1, stage.total)
-            _print_line(f"{name}: {done} of {stage.total}, {format_rate(stage)}")
+            _print_line(f"{name}: {done} of {stage.total}, {stage.rate_text}")
 
     return shown
 
@@ -92,30 +93,3 @@ def _make_tenths_reporter(name: str, stage: Stage) -> Callable[[int], None]:
 def _print_line(text: str) -> None:
     """Print a line on standard error."""
     print(text, file=sys.stderr, flush=True)
-
-
-def format_rate(stage: Stage) -> str:
-    """Format the rate and the remaining time of a stage.
-
-    Parameters
-    ----------
-    stage : Stage
-        Stage that counts the work.
-
-    Returns
-    -------
-    str
-        For example "12.0 / min, 0:01:30 left"; "-- / min" until the rate is known.
-    """
-    per_minute, left = stage.rate_per_minute(), stage.seconds_left()
-    if per_minute is None or left is None:
-        return "-- / min"
-    return f"{per_minute:.1f} / min, {timedelta(seconds=round(left))} left"
-
-
-class _RateColumn(ProgressColumn):
-    """Show rate and time left in a column of the progress bar."""
-
-    def render(self, task: Task) -> Text:
-        """Return the text of the column for a task."""
-        return Text(format_rate(task.fields["stage"]), style="progress.remaining")

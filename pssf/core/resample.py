@@ -1,4 +1,4 @@
-"""Resampling of smooth images: block averages, and linear interpolation back to full resolution."""
+"""Resample smooth images: average over blocks, and interpolate linearly to full resolution."""
 
 from typing import Any, Protocol
 
@@ -8,16 +8,16 @@ from scipy import sparse
 
 from .checks import Array
 
-# Rows of an image that are averaged at a time, about, to limit memory.
+# Approximate number of image rows that are averaged at a time, to limit memory.
 _BAND_ROWS = 512
 
 
 class RowSliceable(Protocol):
-    """Describe an image that can be read in slices of rows: an array, or a map that is stored in another form."""
+    """Protocol of an image that returns slices of rows: an array, or a map in a compressed format."""
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Rows and columns."""
+        """Numbers of rows and columns."""
 
     def __getitem__(self, rows: slice, /) -> NDArray[Any]: ...
 
@@ -30,12 +30,12 @@ def downsample_by_blocks(image: RowSliceable, step: int) -> Array:
     image : (rows, cols) array or RowSliceable
         Image in any unit.
     step : int
-        Side of a block, in px.
+        Edge length of a block, in px.
 
     Returns
     -------
     (ceil(rows / step), ceil(cols / step)) float64 array
-        Mean of each block. Blocks at the lower and right edge may be smaller.
+        Mean of each block. Blocks at the lower and right border of the image may be smaller.
     """
     rows, cols = image.shape
     means = _average_whole_blocks if rows % step == 0 and cols % step == 0 else _average_partial_blocks
@@ -45,26 +45,26 @@ def downsample_by_blocks(image: RowSliceable, step: int) -> Array:
 
 
 def downsample_by_area(image: Array, side: float) -> Array:
-    """Average an image over squares whose side need not be a whole number of pixels.
+    """Average an image over squares; their edge length need not be a whole number of pixels.
 
     Parameters
     ----------
     image : (rows, cols) array
         Image in any unit.
     side : float
-        Side of a square, in px; 1 or more. A pixel on the edge of a square counts in proportion to its area.
+        Edge length of a square, in px; 1 or more. The weight of a pixel is the area of the pixel inside the square.
 
     Returns
     -------
     (rows // side, cols // side) float64 array
-        Mean of each square. A remainder at the lower and right edge is left out.
+        Mean of each square. Remaining pixels at the lower and right border of the image are left out.
     """
     down, across = (_overlap_weights(length, side) for length in image.shape)
     return np.asarray((across @ (down @ image).T).T)
 
 
 def _overlap_weights(length: int, side: float) -> sparse.csr_array:
-    """Compute a sparse (length // side, length) array: the weight of each pixel in each mean along an axis."""
+    """Compute the weight of each pixel in each mean along one axis, as a sparse (length // side, length) array."""
     count = int(length / side + 1e-9)
     first, last = (np.arange(count)[:, None] + ends for ends in (0, 1))
     pixels = np.arange(int(np.ceil(side)) + 1) + (first * side).astype(int)
@@ -74,13 +74,13 @@ def _overlap_weights(length: int, side: float) -> sparse.csr_array:
 
 
 def _average_whole_blocks(image: NDArray[np.integer | np.floating], step: int) -> Array:
-    """Average an image whose rows and columns are multiples of the step."""
+    """Average an image whose numbers of rows and columns are multiples of `step`."""
     blocks = image.reshape(image.shape[0] // step, step, image.shape[1] // step, step)
     return np.asarray(np.einsum("iajb->ij", blocks, dtype=np.float64)) / step**2
 
 
 def _average_partial_blocks(image: NDArray[np.integer | np.floating], step: int) -> Array:
-    """Average an image whose last blocks may be smaller than the step."""
+    """Average an image whose last blocks may have fewer than `step` rows or columns."""
     sums = np.add.reduceat(image.astype(np.float64), np.arange(0, image.shape[0], step), axis=0)
     sums = np.add.reduceat(sums, np.arange(0, image.shape[1], step), axis=1)
     sizes = [np.diff(np.append(np.arange(0, n, step), n)) for n in image.shape]
@@ -95,14 +95,14 @@ def upsample_linear(coarse: Array, step: int, shape: tuple[int, ...]) -> NDArray
     coarse : (ceil(rows / step), ceil(cols / step)) array
         Block means in any unit, as returned by `downsample_by_blocks`.
     step : int
-        Side of a block, in px.
+        Edge length of a block, in px.
     shape : tuple of int
-        Rows and columns of the result.
+        Numbers of rows and columns of the interpolated map.
 
     Returns
     -------
     (rows, cols) float32 array
-        Interpolated map. Beyond the outermost block centres the nearest value is used.
+        Interpolated map. Pixels outside the outermost block centres get the nearest value.
     """
     fine = coarse.astype(np.float32)
     for axis in (0, 1):
@@ -112,7 +112,7 @@ def upsample_linear(coarse: Array, step: int, shape: tuple[int, ...]) -> NDArray
         high = np.minimum(low + 1, coarse.shape[axis] - 1)
         beyond = np.take(fine, high, axis)
         fine = np.take(fine, low, axis)
-        # The arithmetic is in place, since allocating a large array takes longer than the arithmetic itself.
+        # Arrays are changed in place, because the allocation of a large array takes longer than the arithmetic.
         beyond -= fine
         beyond *= share[:, None] if axis == 0 else share
         fine += beyond

@@ -1,7 +1,8 @@
-"""Timing of the stages of a run: wall time, items done, rate and time left."""
+"""Measure the stages of a run: wall time, items done, rate and remaining time."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from time import perf_counter
 
 
@@ -51,7 +52,7 @@ class Stage:
     total : int
         Number of items to do; 0 if unknown.
     already_done : int
-        Items that an earlier run had done. They count in the total, but not in the rate.
+        Items that an earlier run had done. They are included in the total, but not in the rate.
     newly_done : int
         Items done in this run.
     completion_times_s : list of float
@@ -59,9 +60,9 @@ class Stage:
     seconds : float
         Wall time of the stage, in s; 0 until the stage has ended.
     time_exponent : float or None
-        Exponent with which the time grows with the number of items, if known from another source than the times.
+        Exponent of the growth of time with the number of items; None if it must be estimated from the times.
     on_change : callable
-        Function that is called with the number of items done whenever that number changes.
+        Function that is called with the number of items done whenever the number changes.
     """
 
     def __init__(self, unit: str = "", total: int = 0, now: Callable[[], float] = perf_counter) -> None:
@@ -76,11 +77,11 @@ class Stage:
 
     @property
     def done(self) -> int:
-        """Items done, by this run or an earlier one."""
+        """Number of items done by this run and by an earlier run."""
         return self.already_done + self.newly_done
 
     def add_already_done(self, count: int) -> None:
-        """Count items that an earlier run had done; the rate is measured from this call on.
+        """Count items that an earlier run had done, and start to measure the rate.
 
         Parameters
         ----------
@@ -109,7 +110,7 @@ class Stage:
         self.seconds = self._now() - self._start_s
 
     def rate_per_minute(self) -> float | None:
-        """Compute the mean rate up to the item that was done last.
+        """Compute the mean rate until the last item was done.
 
         Returns
         -------
@@ -120,19 +121,27 @@ class Stage:
         return 60 * self.newly_done / spent if spent > 0 else None
 
     def seconds_left(self) -> float | None:
-        """Estimate the time left from the mean rate.
+        """Estimate the remaining time from the mean rate.
 
         Returns
         -------
         float or None
-            Time left, in s, or None before the first item.
+            Remaining time, in s, or None before the first item.
         """
         rate = self.rate_per_minute()
         return max(0.0, 60 * (self.total - self.done) / rate - (self._now() - self._last)) if rate else None
 
+    @property
+    def rate_text(self) -> str:
+        """Rate and remaining time, such as "12.0 / min, 0:01:30 left"; "-- / min" until the rate is known."""
+        per_minute, left = self.rate_per_minute(), self.seconds_left()
+        if per_minute is None or left is None:
+            return "-- / min"
+        return f"{per_minute:.1f} / min, {timedelta(seconds=round(left))} left"
+
 
 class Timer:
-    """Keep the stages of a run in their order.
+    """Measure the stages of a run and keep them in order.
 
     Parameters
     ----------
@@ -142,7 +151,7 @@ class Timer:
     Attributes
     ----------
     stages : dict of str to Stage
-        Name -> stage.
+        Stages in the order of their start, keyed by name.
     """
 
     def __init__(self, now: Callable[[], float] = perf_counter) -> None:
@@ -151,7 +160,7 @@ class Timer:
 
     @property
     def seconds(self) -> dict[str, float]:
-        """Wall time of each stage, in s, by name."""
+        """Wall time of each stage, in s, keyed by stage name."""
         return {name: stage.seconds for name, stage in self.stages.items()}
 
     def lap(self, name: str) -> None:
@@ -182,7 +191,7 @@ class Timer:
         Yields
         ------
         Stage
-            The stage, which counts the items.
+            Stage that counts the items.
         """
         stage = self.stages[name] = Stage(unit, total, self._now)
         try:

@@ -1,8 +1,8 @@
-"""Cache of computed arrays that depend on the package alone: shipped with it, or kept in the user's cache folder.
+"""Cache of computed arrays that depend only on the package: shipped with it, or stored in the user's cache folder.
 
 Some arrays take seconds to compute. The file name contains a digest of the code, tables and library versions that made
-the arrays, so that an outdated file is never used. Shipped arrays are valid for all library versions, so that they are
-the same on every machine. The environment variable ``PSSF_CACHE_DIR`` names another folder; "off" disables the cache.
+the arrays, so an outdated file is never used. Shipped arrays do not depend on library versions, so they are the same on
+every machine. The environment variable ``PSSF_CACHE_DIR`` names another cache folder; "off" disables the cache.
 """
 
 import hashlib
@@ -25,7 +25,7 @@ from .code_hash import PACKAGE_ROOT, compute_code_hashes
 Arrays = Mapping[str, NDArray[Any]]
 
 
-# Number of cached files per name, made by different versions of code, tables or libraries.
+# Maximum number of cached files per name, from different versions of code, tables or libraries.
 _MAX_VERSIONS = 4
 # Folder of the shipped arrays, relative to the package.
 PACKAGED_FOLDER = Path("data", "kept")
@@ -33,16 +33,16 @@ PACKAGED_FOLDER = Path("data", "kept")
 
 @dataclass(frozen=True, kw_only=True)
 class CacheKey:
-    """Everything that arrays depend on; if any of it changes, the arrays are computed again.
+    """Code, libraries and other input of cached arrays; after any change, the arrays are computed again.
 
     Parameters
     ----------
     sources : tuple of str
         Packages or modules of pssf, such as "anatomy" or "xray/spectrum.py", together with their tables.
     libraries : tuple of str, default ()
-        Names of libraries whose versions count.
+        Names of libraries whose versions affect the arrays.
     facts : bytes, default b""
-        Any further input, such as an encoded record.
+        Other input as bytes, such as an encoded record.
     """
 
     sources: tuple[str, ...]
@@ -51,25 +51,25 @@ class CacheKey:
 
 
 def load_or_make_arrays(name: str, origin: CacheKey, make: Callable[[], Arrays]) -> Arrays:
-    """Load arrays from the package or the cache folder; if they are not there, compute and store them.
+    """Load arrays from the package or the cache folder; compute and store missing arrays.
 
-    A damaged file or a folder that cannot be written only costs the time of the computation.
+    If a file is damaged or the folder cannot be written, the arrays are computed without an error.
 
     Parameters
     ----------
     name : str
         Name of the file, without digest and suffix.
     origin : CacheKey
-        Everything that the arrays depend on.
+        Code, libraries and other input on which the arrays depend.
     make : callable
         Function without arguments that computes the arrays.
 
     Returns
     -------
     mapping of str to array
-        The arrays.
+        Arrays, keyed by name.
     """
-    # A damaged file can raise any error in zipfile, zlib or numpy.
+    # All exceptions are suppressed, because a damaged file can raise any error in zipfile, zlib or numpy.
     with suppress(Exception):
         return _read_arrays(_packaged_path(name, origin))
     folder = _cache_folder()
@@ -81,7 +81,7 @@ def load_or_make_arrays(name: str, origin: CacheKey, make: Callable[[], Arrays])
     arrays = make()
     with suppress(OSError):
         _write_arrays(path, arrays)
-        # Several files per name are kept, so that versions of the package installed side by side share the folder.
+        # Several files per name are kept, so that several installed versions of the package can share the folder.
         by_age = sorted(folder.glob(f"{name}-*.npz"), key=lambda file: file.stat().st_mtime, reverse=True)
         for stale in by_age[_MAX_VERSIONS:]:
             stale.unlink()
@@ -89,16 +89,16 @@ def load_or_make_arrays(name: str, origin: CacheKey, make: Callable[[], Arrays])
 
 
 def save_to_package(name: str, origin: CacheKey, arrays: Arrays) -> None:
-    """Store arrays in the package, and delete earlier files of the same name.
+    """Store arrays in the package and delete earlier files with the same name.
 
     Parameters
     ----------
     name : str
         Name of the file, without digest and suffix.
     origin : CacheKey
-        Everything that the arrays depend on.
+        Code, libraries and other input on which the arrays depend.
     arrays : mapping of str to array
-        Name -> array (any shape and unit).
+        Arrays of any shape and unit, keyed by name.
     """
     for stale in (PACKAGE_ROOT / PACKAGED_FOLDER).glob(f"{name}-*.npz"):
         stale.unlink()
@@ -112,7 +112,7 @@ def compute_cache_digest(origin: CacheKey) -> str:
     Parameters
     ----------
     origin : CacheKey
-        Everything that the arrays depend on.
+        Code, libraries and other input on which the arrays depend.
 
     Returns
     -------
@@ -124,7 +124,7 @@ def compute_cache_digest(origin: CacheKey) -> str:
 
 
 def _packaged_path(name: str, origin: CacheKey) -> Path:
-    """Return the path of shipped arrays; its digest does not include library versions."""
+    """Return the path of shipped arrays; the digest in its name does not include library versions."""
     return PACKAGE_ROOT / PACKAGED_FOLDER / f"{name}-{compute_cache_digest(replace(origin, libraries=()))[:16]}.npz"
 
 
@@ -143,11 +143,12 @@ def _read_arrays(path: Path) -> Arrays:
 
 
 def _write_arrays(path: Path, arrays: Arrays) -> None:
-    """Write arrays to a temporary file and rename it, so that readers never see a partial file."""
+    """Write arrays to a temporary file and rename the file, so that readers never see a partial file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{secrets.token_hex(8)}.part")
     try:
-        # The file mode follows the umask, so that several users can share one folder.
+        # The file is opened directly, without tempfile, so that its mode follows the umask and several users can share
+        # it.
         with open(part, "xb") as handle:
             np.savez_compressed(handle, **arrays)  # type: ignore[arg-type]
         os.replace(part, path)

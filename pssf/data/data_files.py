@@ -1,4 +1,4 @@
-"""Readers of the package's TOML tables, of its protocols, and of TOML files that a user names."""
+"""Readers of the package's TOML tables and protocols, and of TOML files named by the user."""
 
 import os
 import tomllib
@@ -10,7 +10,7 @@ from typing import Any
 from ..core.checks import InputError, format_value, require_path
 from .user_files import convert_os_errors, parse_text, read_text
 
-# Largest TOML file of a user, in bytes.
+# Largest accepted TOML file of a user, in bytes.
 _MAX_TOML_BYTES = 2**20
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -44,7 +44,7 @@ def list_protocols() -> list[str]:
 
 
 def read_protocol_fields(name_or_path: str | PathLike[str]) -> tuple[dict[str, Any], str]:
-    """Read the fields of a protocol file; fields that it lacks are taken from its base protocol.
+    """Read the fields of a protocol file; missing fields are taken from its base protocol.
 
     Parameters
     ----------
@@ -54,14 +54,14 @@ def read_protocol_fields(name_or_path: str | PathLike[str]) -> tuple[dict[str, A
     Returns
     -------
     fields : dict of str to Any
-        Field name -> value.
+        Value of each field, keyed by field name.
     label : str
-        Name of the protocol in error messages.
+        Name of the protocol, shown in error messages.
 
     Raises
     ------
     InputError
-        If the name is unknown, the file is not readable TOML, or the base leads back to the protocol itself.
+        If the name is unknown, the file is not readable TOML, or the chain of base protocols contains a loop.
     """
     fields: dict[str, Any] = {}
     path = first = _resolve_protocol_path(name_or_path)
@@ -70,7 +70,7 @@ def read_protocol_fields(name_or_path: str | PathLike[str]) -> tuple[dict[str, A
         with convert_os_errors(path, "a readable TOML file"):
             here = Path(os.path.realpath(path))
         if here in seen:
-            raise InputError(f"base of protocol {first.name} must not lead back to itself, got {path.name}")
+            raise InputError(f"base of protocol {first.name} must not form a loop, got {path.name}")
         seen.append(here)
         fields = read_toml(path) | fields
         base = fields.pop("base", None)
@@ -108,7 +108,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If the file is missing, unreadable or too large, is not TOML, or holds an integer beyond 64 bits.
+        If the file is missing, unreadable or too large, is not TOML, or contains an integer beyond 64 bits.
     """
     allowed = "a readable TOML file"
     table: dict[str, Any] = parse_text(
@@ -128,6 +128,6 @@ def _require_64_bit_integers(value: Any, path: Path) -> None:
 
 
 def _protocol_folder() -> Path:
-    """Return the folder of the protocols: inside the package, or beside it in a source checkout."""
+    """Return the folder of the protocols: inside the package, or next to the package in a source checkout."""
     packaged = _PACKAGE / "protocols"
     return packaged if packaged.is_dir() else _PACKAGE.parent / "protocols"

@@ -1,4 +1,4 @@
-"""Typed, frozen records of the package's tables; every name and type is checked when a table is read."""
+"""Base class and parser of table records; names and types are checked when a table is read."""
 
 from threading import RLock
 from typing import Any, TypeVar
@@ -12,20 +12,20 @@ Triple = tuple[float, float, float]
 Pair = tuple[float, float]
 
 
-# Lock around msgspec: version 0.22 crashes if a second thread meets a type while msgspec is still analysing it.
-# The lock is reentrant, since constructing a record may convert others.
+# Lock around msgspec, because version 0.22 crashes if two threads use a new type at the same time. The lock is
+# reentrant, because constructing a record may convert other records.
 MSGSPEC_LOCK = RLock()
 
 
 class Record(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Base class of all table records: frozen, hashable, and strict about unknown entries.
 
-    A record is hashable, so that results computed from it can be cached.
+    Records are hashable, so that functions with record arguments can be cached.
     """
 
 
 def parse_record(record_type: type[T], table: Any, label: str) -> T:
-    """Convert a mapping, as read from TOML, to a record or another typed value.
+    """Convert a mapping that was read from TOML to a record or another typed value.
 
     Parameters
     ----------
@@ -34,12 +34,12 @@ def parse_record(record_type: type[T], table: Any, label: str) -> T:
     table : Any
         Content of the table.
     label : str
-        Name of the table in error messages.
+        Name of the table, shown in error messages.
 
     Returns
     -------
     record_type
-        The typed value.
+        Converted value.
 
     Raises
     ------
@@ -57,7 +57,7 @@ def parse_record(record_type: type[T], table: Any, label: str) -> T:
 
 
 def encode_records(*values: Any) -> bytes:
-    """Encode records as JSON bytes, which differ if the records differ.
+    """Encode records as JSON bytes, for example as part of a cache key.
 
     Parameters
     ----------
@@ -67,6 +67,6 @@ def encode_records(*values: Any) -> bytes:
     Returns
     -------
     bytes
-        The encoded values.
+        Encoded values.
     """
     return msgspec.json.encode(values)

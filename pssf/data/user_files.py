@@ -1,4 +1,4 @@
-"""Readers of files that a user names: regular files below a size limit, so that no pipe or device blocks a program."""
+"""Readers of files named by the user. They accept only regular files below a size limit, since a pipe may block."""
 
 import json
 import os
@@ -14,25 +14,23 @@ from ..core.checks import InputError, format_one_line
 from .table_records import MSGSPEC_LOCK
 
 T = TypeVar("T")
-# Largest text file that is read, in bytes.
+# Size limit of text files, in bytes.
 MOST_TEXT = 2**28
-# Largest file that is read, in bytes.
+# Size limit of all other files, in bytes.
 MOST_BYTES = 2**32
-# Requirement on a file that the package wrote, and the remedy if it is not met.
-_DELETE_HINT = "undamaged (delete it to have it made again)"
 
 
 def read_bytes(path: Path, max_bytes: int = MOST_BYTES, allowed: str = "a readable file") -> bytes:
-    """Read a regular file.
+    """Read a regular file as bytes.
 
     Parameters
     ----------
     path : Path
-        The file.
+        Path of the file.
     max_bytes : int, default 2**32
         Size limit, in bytes.
     allowed : str, default "a readable file"
-        What the file must be, in the error message.
+        Description of a valid file, shown in error messages.
 
     Returns
     -------
@@ -42,10 +40,10 @@ def read_bytes(path: Path, max_bytes: int = MOST_BYTES, allowed: str = "a readab
     Raises
     ------
     InputError
-        If the file is missing, unreadable, too large or not a regular file. The message names it.
+        If the file is missing, unreadable, too large or not a regular file. The message names the file.
     """
     with convert_os_errors(path, allowed):
-        # Non-blocking, since opening a pipe that has no writer would otherwise wait.
+        # The file is opened in non-blocking mode, because opening a pipe without a writer would otherwise wait.
         handle = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0))
         with open(handle, "rb") as file:
             _require_regular(path, os.fstat(handle), max_bytes, allowed)
@@ -53,21 +51,21 @@ def read_bytes(path: Path, max_bytes: int = MOST_BYTES, allowed: str = "a readab
 
 
 def require_regular_file(path: Path, max_bytes: int = MOST_BYTES, allowed: str = "a readable file") -> Path:
-    """Require a regular file below a size limit, for a reader that opens the file itself.
+    """Check that a path is a regular file below a size limit, before another library opens it.
 
     Parameters
     ----------
     path : Path
-        The file.
+        Path of the file.
     max_bytes : int, default 2**32
         Size limit, in bytes.
     allowed : str, default "a readable file"
-        What the file must be, in the error message.
+        Description of a valid file, shown in error messages.
 
     Returns
     -------
     Path
-        The same path.
+        Path of the file, unchanged.
 
     Raises
     ------
@@ -85,11 +83,11 @@ def read_text(path: Path, max_bytes: int = MOST_TEXT, allowed: str = "a readable
     Parameters
     ----------
     path : Path
-        The file.
+        Path of the file.
     max_bytes : int, default 2**28
         Size limit, in bytes.
     allowed : str, default "a readable file"
-        What the file must be, in the error message.
+        Description of a valid file, shown in error messages.
 
     Returns
     -------
@@ -99,7 +97,7 @@ def read_text(path: Path, max_bytes: int = MOST_TEXT, allowed: str = "a readable
     Raises
     ------
     InputError
-        As `read_bytes`, and if the content is not UTF-8.
+        Under the same conditions as `read_bytes`, or if the content is not UTF-8.
     """
     try:
         return read_bytes(path, max_bytes, allowed).decode("utf-8-sig")
@@ -107,21 +105,24 @@ def read_text(path: Path, max_bytes: int = MOST_TEXT, allowed: str = "a readable
         raise InputError(f"file {path} must be {allowed}, got: not UTF-8 ({error})") from None
 
 
-def parse_text(path: Path, text: T, parse: Callable[[T], Any], *, fault: str, allowed: str) -> Any:
-    """Parse the text of a file; any failure of the parser raises InputError.
+def parse_text(
+    path: Path, text: T, parse: Callable[[T], Any], *, fault: str = "damaged", allowed: str | None = None
+) -> Any:
+    """Parse the text of a file and convert errors of the parser to InputError.
 
     Parameters
     ----------
     path : Path
-        The file, for the error message.
+        Path of the file, shown in error messages.
     text : str or file object
         Input of the parser.
     parse : callable
         Parser.
-    fault : str
-        What is wrong with a file that cannot be parsed, such as "not TOML".
-    allowed : str
-        What the file must be, in the error message.
+    fault : str, default "damaged"
+        Description of a file that cannot be parsed, such as "not TOML", shown in error messages.
+    allowed : str, optional
+        Description of a valid file, shown in error messages. If None, the file is one that the package wrote, and the
+        message advises to delete it.
 
     Returns
     -------
@@ -135,77 +136,87 @@ def parse_text(path: Path, text: T, parse: Callable[[T], Any], *, fault: str, al
     """
     try:
         return parse(text)
-    except (ValueError, RecursionError) as error:  # Errors of all parsers are subclasses of these.
-        raise InputError(f"file {path} must be {allowed}, got: {fault} ({format_one_line(str(error))})") from None
+    except (ValueError, RecursionError) as error:  # All parsers raise subclasses of these errors.
+        raise _make_content_error(path, f"{fault} ({format_one_line(str(error))})", allowed) from None
 
 
-def read_json(path: Path, record_type: type[T] | Any, *, allowed: str = _DELETE_HINT) -> T:
-    """Read a JSON file as a record or another type that msgspec knows; every name and type is checked.
+def read_json(path: Path, record_type: type[T] | Any, *, allowed: str | None = None) -> T:
+    """Read a JSON file as a record or another msgspec type, and check all names and types.
 
     Parameters
     ----------
     path : Path
-        The file.
+        Path of the file.
     record_type : type
         Type to convert to.
-    allowed : str
-        What the file must be, in the error message. By default a file that pssf wrote.
+    allowed : str, optional
+        Description of a valid file, shown in error messages. If None, the file is one that the package wrote, and the
+        message advises to delete it.
 
     Returns
     -------
     record_type
-        The typed content.
+        Content of the file, converted to the type.
 
     Raises
     ------
     InputError
-        As `read_text`, and if the content is not JSON or not of this type.
+        Under the same conditions as `read_text`, or if the content is not JSON or does not match the type.
     """
-    # Python's JSON reader is used, since it accepts NaN, which stands for the position of a hidden landmark.
-    held = parse_text(path, read_text(path), json.loads, fault="damaged", allowed=allowed)
+    # Python's JSON reader is used because it accepts NaN, which represents the position of a hidden landmark.
+    held = parse_text(path, read_text(path), json.loads, allowed=allowed)
     try:
         with MSGSPEC_LOCK:
             return msgspec.convert(held, record_type)
     except msgspec.ValidationError as error:
-        raise InputError(f"file {path} must be {allowed}, got: damaged ({error})") from None
+        raise _make_content_error(path, f"damaged ({error})", allowed) from None
+
+
+def _make_content_error(path: Path, fault: str, allowed: str | None) -> InputError:
+    """Make the error for a file with invalid content; if `allowed` is None, for a file that the package wrote."""
+    if allowed is None:
+        return InputError(f"file {path} is {fault}; delete it and it is made again")
+    return InputError(f"file {path} must be {allowed}, got: {fault}")
 
 
 @contextmanager
 def convert_os_errors(path: Path, allowed: str) -> Iterator[None]:
-    """Convert errors of the operating system in this context to an InputError of one line that names the file.
+    """Convert operating system errors in a ``with`` block to an InputError that names the file.
 
     Parameters
     ----------
     path : Path
-        The file, for the error message.
+        Path of the file, shown in error messages.
     allowed : str
-        What the file must be, in the error message.
+        Description of a valid file, shown in error messages.
 
     Yields
     ------
     None
-        The block accesses the file.
+        Control to the ``with`` block, which accesses the file.
 
     Raises
     ------
     InputError
-        If the system reports an error, or the path contains a null byte.
+        If the operating system reports an error, or the path contains a null byte.
     """
     try:
         yield
     except InputError:
         raise
+    except IsADirectoryError:
+        raise InputError(f"file {path} must be {allowed}, got a directory") from None
     except OSError as error:
         raise InputError(f"file {path} must be {allowed}, got: {error.strerror or error}") from None
-    except ValueError as error:  # The path contains a null byte.
+    except ValueError as error:  # Python raises ValueError if the path contains a null byte.
         raise InputError(f"file {path} must be {allowed}, got: {error}") from None
 
 
 def _require_regular(path: Path, status: os.stat_result, max_bytes: int, allowed: str) -> None:
-    """Raise InputError for a folder, a pipe, socket or device, or a file that is too large."""
+    """Raise InputError if the path is a folder, pipe, socket or device, or if the file is too large."""
     if stat.S_ISDIR(status.st_mode):
-        raise InputError(f"file {path} must be {allowed}, got: Is a directory")
+        raise InputError(f"file {path} must be {allowed}, got a directory")
     if not stat.S_ISREG(status.st_mode):
-        raise InputError(f"file {path} must be {allowed}, got: no regular file (a pipe, socket or device)")
+        raise InputError(f"file {path} must be {allowed}, got a pipe, socket or device")
     if status.st_size > max_bytes:
         raise InputError(f"file {path} must have at most {max_bytes} bytes, got {status.st_size} bytes")

@@ -1,8 +1,8 @@
-"""Blur in frequency space: by the focal spot, and by the panel for signal and quantum noise.
+"""Blur in the frequency domain: by the focal spot, and by the detector for signal and quantum noise.
 
-Photons are absorbed at random depths, and each depth has its own spread of light. The signal passes with the mean of
-the transfer functions, and the noise with their root mean square. The noise therefore keeps more of its high
-frequencies than the signal, and the DQE falls with frequency (Lubberts 1968; Cunningham 2000).
+Photons are absorbed at random depths of the scintillator, and the light spread depends on the depth. The transfer
+function of the signal is the mean over depths, and that of the noise is the root mean square. The noise therefore keeps
+more of its high frequencies than the signal, and the DQE decreases with frequency (Lubberts 1968; Cunningham 2000).
 """
 
 from functools import lru_cache
@@ -16,12 +16,12 @@ from ..geometry.view import View, magnification
 
 Map = NDArray[np.float32]
 Frequencies = NDArray[np.complex64]
-# Smallest mirrored margin around an image, in pixels.
+# Minimum width of the mirrored margin around an image, in pixels.
 _MARGIN_PX = 32
 
 
 def transform_to_frequency(image: Map, workers: int = 2) -> Frequencies:
-    """Transform an image to frequency space, with mirrored margins so that opposite edges do not mix.
+    """Transform an image to the frequency domain, with mirrored margins so that opposite edges do not mix.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def transform_to_frequency(image: Map, workers: int = 2) -> Frequencies:
     Returns
     -------
     (padded rows, padded cols / 2 + 1) complex64 array
-        Frequencies of the padded image.
+        Fourier coefficients of the padded image.
     """
     long, before = _padded_lengths(image.shape)
     margins = [(b, n - size - b) for b, n, size in zip(before, long, image.shape, strict=True)]
@@ -41,12 +41,12 @@ def transform_to_frequency(image: Map, workers: int = 2) -> Frequencies:
 
 
 def transform_to_image(values: Frequencies, shape: tuple[int, ...], workers: int = 2) -> Map:
-    """Transform frequencies back to an image.
+    """Transform Fourier coefficients back to an image.
 
     Parameters
     ----------
     values : (padded rows, padded cols / 2 + 1) complex64 array, keV
-        Frequencies from `transform_to_frequency`.
+        Fourier coefficients from `transform_to_frequency`.
     shape : tuple of int
         Rows and columns of the image.
     workers : int, default 2
@@ -63,9 +63,9 @@ def transform_to_image(values: Frequencies, shape: tuple[int, ...], workers: int
 
 
 def blur_image_by_focal_spot(image: Map, focal_spot_mm: float, view: View, workers: int = 2) -> Map:
-    """Blur an image by a square focal spot, as for an edge in the joint plane.
+    """Blur an image by a square focal spot, with the blur width of the joint plane.
 
-    The width of the blur on the detector is a (M - 1), with the focal spot width a and the magnification M.
+    The blur width on the detector is a (M - 1), with the focal spot width a and the magnification M of the joint plane.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def blur_image_by_focal_spot(image: Map, focal_spot_mm: float, view: View, worke
 
 
 def focal_spot_width_px(focal_spot_mm: float, view: View) -> float:
-    """Compute the width of the focal-spot blur for an edge in the joint plane.
+    """Compute the width of the focal-spot blur of an edge in the joint plane.
 
     Parameters
     ----------
@@ -107,12 +107,12 @@ def focal_spot_width_px(focal_spot_mm: float, view: View) -> float:
 
 
 def apply_focal_spot_blur(values: Frequencies, shape: tuple[int, ...], width_px: float) -> None:
-    """Blur an image by a square focal spot in frequency space, in place.
+    """Blur an image by a square focal spot in the frequency domain, in place.
 
     Parameters
     ----------
     values : (padded rows, padded cols / 2 + 1) complex64 array, keV
-        Frequencies from `transform_to_frequency`; multiplied in place.
+        Fourier coefficients from `transform_to_frequency`; multiplied in place.
     shape : tuple of int
         Rows and columns of the image.
     width_px : float
@@ -126,29 +126,29 @@ def apply_focal_spot_blur(values: Frequencies, shape: tuple[int, ...], width_px:
 def apply_panel_blur(
     values: Frequencies, shape: tuple[int, ...], pixel_mm: float, detector: Detector, curve: str = "mtf"
 ) -> None:
-    """Blur an image by the panel in frequency space, in place.
+    """Blur an image by the detector in the frequency domain, in place.
 
     Parameters
     ----------
     values : (padded rows, padded cols / 2 + 1) complex64 array, keV
-        Frequencies from `transform_to_frequency`; multiplied in place.
+        Fourier coefficients from `transform_to_frequency`; multiplied in place.
     shape : tuple of int
         Rows and columns of the image.
     pixel_mm : float
         Pixel size, in mm.
     detector : Detector
-        Record of the detector.
+        Detector properties from the table.
     curve : {"mtf", "ntf"}, default "mtf"
-        Transfer function of the signal, or of quantum noise.
+        Transfer function to use: "mtf" for the signal, "ntf" for quantum noise.
     """
     values *= _panel_transfer(shape, pixel_mm, *_select_transfer_parameters(detector, curve))
 
 
-@lru_cache(maxsize=2)  # The two transfer functions of one detector.
+@lru_cache(maxsize=2)  # One entry per transfer function of a detector.
 def _panel_transfer(shape: tuple[int, ...], pixel_mm: float, f0: float, power: float) -> Map:
-    """Compute the transfer function (padded rows, padded cols / 2 + 1) of a panel at the frequencies of an image."""
+    """Compute a detector transfer function (padded rows, padded cols / 2 + 1) at the frequencies of an image."""
     fy, fx = (f / np.float32(pixel_mm * f0) for f in _frequency_axes(shape))
-    # The arithmetic is in place, because a new large array takes more time than the arithmetic.
+    # The arithmetic is in place, because allocating a new large array takes more time than the arithmetic.
     passed = fy[:, None] ** 2 + fx**2
     np.power(passed, np.float32(power / 2), out=passed)
     passed += 1
@@ -158,35 +158,35 @@ def _panel_transfer(shape: tuple[int, ...], pixel_mm: float, f0: float, power: f
 def compute_transfer(
     detector: Detector, frequency_per_mm: NDArray[np.float64], curve: str = "mtf"
 ) -> NDArray[np.float64]:
-    """Compute the transfer function 1 / (1 + (f / f0)^power) of a panel.
+    """Compute the transfer function 1 / (1 + (f / f0)^power) of a detector.
 
     Parameters
     ----------
     detector : Detector
-        Record of the detector.
+        Detector properties from the table.
     frequency_per_mm : (...) array, 1/mm
         Spatial frequencies f, in cycles per mm.
     curve : {"mtf", "ntf"}, default "mtf"
-        Transfer function of the signal, or of quantum noise.
+        Transfer function to use: "mtf" for the signal, "ntf" for quantum noise.
 
     Returns
     -------
     (...) float64 array
-        Transfer from 0 to 1.
+        Transfer function, from 0 to 1.
     """
     f0, power = _select_transfer_parameters(detector, curve)
     return np.asarray(1 / (1 + (frequency_per_mm / f0) ** power))
 
 
 def _select_transfer_parameters(detector: Detector, curve: str) -> tuple[float, float]:
-    """Select f0 in 1/mm and the power of the transfer function of the signal ("mtf") or of quantum noise ("ntf")."""
+    """Return f0 in 1/mm and the power of the transfer function for signal ("mtf") or quantum noise ("ntf")."""
     if curve == "mtf":
         return detector.mtf_f0_per_mm, detector.mtf_power
     return detector.ntf_f0_per_mm, detector.ntf_power
 
 
 def _padded_lengths(shape: tuple[int, ...]) -> tuple[list[int], list[int]]:
-    """Choose padded lengths with a fast Fourier transform, and the margin before the image on each axis."""
+    """Choose padded lengths that allow a fast Fourier transform, and the margin width before the image on each axis."""
     long = [fft.next_fast_len(n + 2 * min(_MARGIN_PX, n), real=True) for n in shape]
     return long, [(length - n) // 2 for length, n in zip(long, shape, strict=True)]
 

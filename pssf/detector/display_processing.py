@@ -1,7 +1,7 @@
-"""Display processing: conversion of the signal to grey levels, 0 black to 1 white, bone bright.
+"""Display processing: conversion of the signal to grey levels from 0 (black) to 1 (white), with bright bone.
 
-The processing of a flat panel keeps the order of grey levels of neighbours, but not of distant points. A film keeps
-both.
+Flat-panel processing preserves the order of grey levels of neighbouring pixels, but not of distant pixels. Film
+preserves both.
 """
 
 import numpy as np
@@ -13,21 +13,21 @@ from ..data.imaging.display_table import FlatPanelProcessing, ScreenFilm
 from .laplacian_pyramid import join_pyramid, split_pyramid
 
 Image = NDArray[np.float32]
-# Step between the pixels whose quantiles are computed, in rows and columns.
+# Subsampling step for the computation of quantiles, in rows and columns.
 _SUBSAMPLING = 4
-# Quantile of the signal that counts as that of the open beam.
+# Quantile of the signal that is taken as the open-beam signal.
 _OPEN_BEAM_QUANTILE = 0.999
-# Fraction of dim pixels above which a row or column is behind a collimator leaf; noise makes the others brighter.
+# Fraction of dim pixels above which a row or column counts as behind a collimator leaf. It is below 1 because of noise.
 _COLLIMATED_FRACTION = 0.99
 
 
 def render_log(signal: Image) -> Image:
-    """Render the log signal, with large structures attenuated and edges slightly sharpened.
+    """Render the logarithm of the signal, with attenuated large structures and slightly sharpened edges.
 
     Parameters
     ----------
     signal : (rows, cols) float32 array, DN
-        Signal above the offset of the detector, at least 1.
+        Signal after subtraction of the detector offset, at least 1.
 
     Returns
     -------
@@ -37,7 +37,8 @@ def render_log(signal: Image) -> Image:
     density = -np.log(signal)
     step = max(1, max(signal.shape) // 128)
     coarse = upsample_linear(ndimage.gaussian_filter(downsample_by_blocks(density, step), 4.0), step, signal.shape)
-    # Structures larger than a few centimetres are attenuated, so that thigh, knee and calf fit into one window.
+    # Structures larger than a few centimetres are attenuated, so that thigh, knee and calf fit into one grey-level
+    # window.
     even = density - 0.45 * coarse + 0.6 * (density - ndimage.gaussian_filter(density, 3.0))
     low, high = np.percentile(even[::4, ::4], [0.5, 99.8])
     scaled = np.clip((even - low) / max(float(high - low), 1e-6), 0, 1.12)
@@ -45,12 +46,12 @@ def render_log(signal: Image) -> Image:
 
 
 def render_processed(signal: Image, pixel_mm: float, processing: FlatPanelProcessing) -> Image:
-    """Render a signal like the software of a flat panel (Vuylsteke and Schoeters 1994).
+    """Render a signal with multi-scale processing, as flat-panel software does (Vuylsteke and Schoeters 1994).
 
     Parameters
     ----------
     signal : (rows, cols) float32 array, DN
-        Signal above the offset of the detector, at least 1.
+        Signal after subtraction of the detector offset, at least 1.
     pixel_mm : float
         Pixel size, in mm.
     processing : FlatPanelProcessing
@@ -62,7 +63,7 @@ def render_processed(signal: Image, pixel_mm: float, processing: FlatPanelProces
         Grey levels from 0 to 1.
     """
     limb, dimmest = _find_limb(signal, processing)
-    # Signals behind the collimator are clipped, because their logarithm would dominate the coarse layers.
+    # The weak signal behind the collimator is clipped, because its logarithm would dominate the coarse layers.
     density = -np.log(np.maximum(signal, dimmest))
     details, rest = split_pyramid(density)
     for number, layer in enumerate(details):
@@ -78,14 +79,14 @@ def render_processed(signal: Image, pixel_mm: float, processing: FlatPanelProces
 
 
 def render_film(signal: Image, processing: ScreenFilm) -> Image:
-    """Render a signal like a screen-film system on a viewing box.
+    """Render a signal as a screen-film radiograph on a viewing box.
 
     Parameters
     ----------
     signal : (rows, cols) float32 array, DN
-        Signal above the offset of the detector, at least 1.
+        Signal after subtraction of the detector offset, at least 1.
     processing : ScreenFilm
-        Parameters of the film.
+        Parameters of the screen-film system.
 
     Returns
     -------
@@ -100,16 +101,16 @@ def render_film(signal: Image, processing: ScreenFilm) -> Image:
 
 
 def _find_limb(signal: Image, processing: FlatPanelProcessing | ScreenFilm) -> tuple[NDArray[np.bool_], float]:
-    """Find the limb among the subsampled pixels, and the smallest signal that is not behind the collimator, in DN."""
+    """Find the limb in the subsampled image, and the collimation threshold of the signal in DN."""
     some = signal[::_SUBSAMPLING, ::_SUBSAMPLING]
     greatest = float(np.quantile(some, _OPEN_BEAM_QUANTILE))
     limb = (some < processing.air_above_fraction * greatest) & (some > processing.collimated_below_fraction * greatest)
-    # In a flat field, all pixels count as limb.
+    # If no pixel qualifies, as in a flat field, all pixels count as limb.
     return (limb if limb.any() else np.ones_like(limb)), max(1.0, processing.collimated_below_fraction * greatest)
 
 
 def _find_collimated_border(dim: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Find whole dim rows and columns along the edges; dim pixels within the field belong to a thick limb."""
+    """Find dim rows and columns at the image edges; dim pixels inside the field belong to a thick limb."""
     behind = np.zeros_like(dim)
     for rows, dark in ((behind, dim), (behind.T, dim.T)):
         whole = dark.mean(axis=1) > _COLLIMATED_FRACTION
@@ -124,13 +125,13 @@ def _limb_quantiles(image: Image, limb: NDArray[np.bool_], fractions: tuple[floa
 
 
 def _amplify_detail(detail: Image, processing: FlatPanelProcessing) -> Image:
-    """Raise details to a power; with a power below 1, small details gain and those of size `bound` stay unchanged."""
+    """Raise details to a power; a power below 1 amplifies small details and does not change details of size `bound`."""
     size = np.maximum(np.abs(detail), np.float32(processing.core)) / np.float32(processing.bound)
     return np.asarray(detail * size ** np.float32(processing.power - 1))
 
 
 def _layer_gain(detail_size_mm: float, processing: FlatPanelProcessing) -> float:
-    """Compute the gain of a layer of details of one size, in mm."""
+    """Compute the gain of a detail layer from the size of its details in mm."""
     fine = max(0.0, 1 - detail_size_mm / processing.edge_mm)
     coarse = 1 / (1 + (detail_size_mm / processing.latitude_mm) ** 2)
     return (1 + (processing.edge_gain - 1) * fine) * (
@@ -139,8 +140,8 @@ def _layer_gain(detail_size_mm: float, processing: FlatPanelProcessing) -> float
 
 
 def _soft_clip(values: Image, bend_width: float) -> Image:
-    """Clip values to 0 to 1 with a smooth bend of the given width at both ends."""
+    """Clip values to the range 0 to 1, with a smooth transition of the given width at both ends."""
     sharp = np.float32(4 / bend_width)
-    # This is log(1 + exp(x)) - max(x, 0), written out because np.logaddexp takes several times as long.
+    # log(1 + exp(x)) - max(x, 0) is written out, because np.logaddexp takes several times as long.
     low, high = (1 + np.exp(-sharp * np.abs(values - end)) for end in (np.float32(0), np.float32(1)))
     return np.asarray(np.clip(np.clip(values, 0, 1) + np.log(low / high) / sharp, 0, 1), np.float32)

@@ -1,4 +1,4 @@
-"""Images for presentation, bone bright, with the edge of the collimator and a side marker on request."""
+"""Images for presentation with bright bone, and with a drawn collimator edge and side marker on request."""
 
 import math
 import reprlib
@@ -29,17 +29,17 @@ from ..xray.collimator import penumbra_mm
 from .display_processing import render_film, render_log, render_processed
 from .side_marker import draw_letter
 
-# Names of the kinds of display processing.
+# Names of the display processings.
 DISPLAY_PROCESSING = ("log", "processed", "film")
-# Width of the drawn shadow of the collimator leaves, as a fraction of the smaller side of the image.
+# Width of the drawn collimator shadow, as a fraction of the smaller side of the image.
 _LEAF = 0.025
-# Width of its penumbra, as a fraction of the smaller side of the image.
+# Width of the penumbra of the drawn collimator shadow, as a fraction of the smaller side of the image.
 _PENUMBRA = 0.002
-# Height of the side marker, as a fraction of the smaller side of the image.
+# Height of the drawn side marker, as a fraction of the smaller side of the image.
 _MARKER = 0.055
-# Distance of the marker from the shadow of the leaves, as a fraction of the smaller side of the image.
+# Distance of the drawn side marker from the collimator shadow, as a fraction of the smaller side of the image.
 _APART = 0.02
-# Distance by which the panel blurs the edge of the field further inwards than the penumbra, in mm (assumed).
+# Width by which detector blur extends the penumbra into the field, in mm (assumed).
 _PANEL_BLUR_MM = 0.5
 
 
@@ -55,32 +55,33 @@ def render_for_display(
     field_mm: tuple[float, float] = (0.0, 0.0),
     shadow_mm: float = 0.0,
 ) -> NDArray[np.uint8 | np.uint16]:
-    """Render a radiograph for presentation, bone bright.
+    """Render a radiograph for presentation, with bright bone.
 
     Parameters
     ----------
     pixels : (rows, cols) array, DN, or Radiograph
-        Image that is linear in the absorbed energy. A Radiograph also states detector, pixel size, field, penumbra and
-        lead marker, so that these parameters are ignored.
+        Image that is linear in the absorbed energy. For a Radiograph, the parameters `detector`, `pixel_mm`, `field_mm`
+        and `shadow_mm` are taken from its protocol.
     bits : int, default 8
-        Bits per pixel of the result, from 8 (uint8) to 16 (uint16).
+        Bits per pixel of the rendered image, from 8 (uint8) to 16 (uint16).
     side : {"right", "left"}, optional
-        Side of the knee. With it, the edge of the collimator is drawn where the beam has none. The marker R or L is
-        drawn on the lateral side, unless the radiograph has a lead marker.
+        Side of the body. If given, a collimator edge is drawn in each direction in which the beam is not collimated.
+        The marker R or L is drawn on the lateral side, unless the radiograph has a lead marker.
     detector : str, default "csi"
         Detector whose offset is subtracted.
     processing : {"log", "processed", "film"}, FlatPanelProcessing or ScreenFilm, default "log"
-        Display processing. ``"log"`` is the log signal with large structures attenuated and edges slightly sharpened.
-        ``"processed"`` is multi-scale contrast with a grey curve, as in the software of a flat panel. ``"film"`` is a
-        screen-film system. A record sets the parameters of the last two.
+        Display processing. ``"log"`` is the logarithm of the signal with attenuated large structures and slightly
+        sharpened edges. ``"processed"`` is multi-scale contrast processing with a grey-level curve, as in flat-panel
+        software. ``"film"`` simulates a screen-film system. A FlatPanelProcessing or a ScreenFilm sets other parameters
+        for the last two.
     pixel_mm : float, default 0.15
-        Pixel size, from 0.001 to 50 mm; it sets the size of structures for ``"processed"``, and the field in pixels.
+        Pixel size, from 0.001 to 50 mm; it is used for ``"processed"`` and for the size of the field in pixels.
     field_mm : tuple of float, default (0, 0)
-        Width and height of the collimated field around the centre, in mm. Pixels outside are black. 0 means no leaves
-        in that direction.
+        Width and height of the collimated field around the centre, in mm. Pixels outside the field are black. 0 means
+        that this direction is not collimated.
     shadow_mm : float, default 0
-        Width of the penumbra inside the field, from 0 to 100 mm. It is black, too, since it would appear as a bright
-        line.
+        Width of the penumbra inside the field, from 0 to 100 mm. The penumbra is black too, because it would appear as
+        a bright line.
 
     Returns
     -------
@@ -121,7 +122,8 @@ def render_for_display(
     signal = np.maximum(pixels.astype(np.float32) - np.float32(panels[detector].offset_dn), 1.0)
     within = _find_field_slices(signal.shape, field_mm, pixel_mm, shadow_mm)
     shown = np.zeros_like(signal)
-    # Only the field is rendered, because scatter behind the leaves must not affect the grey levels of the limb.
+    # Only the field is rendered, because scatter behind the collimator leaves must not affect the grey levels of the
+    # limb.
     shown[within] = _render_grey(np.ascontiguousarray(signal[within]), shown_as, pixel_mm)
     if side is not None:
         shown[within] = _add_drawn_marker(shown[within], side, tuple(wide > 0 for wide in reversed(field_mm)), lead)
@@ -130,7 +132,7 @@ def render_for_display(
 
 
 def _require_pixels(pixels: object) -> None:
-    """Raise InputError unless `pixels` is a (rows, cols) array of finite numbers."""
+    """Raise InputError if `pixels` is not a (rows, cols) array of finite numbers."""
     numbers = isinstance(pixels, np.ndarray) and pixels.ndim == 2 and pixels.size and pixels.dtype.kind in "iuf"
     if not numbers:
         given = f"an array {pixels.shape} of {pixels.dtype}" if isinstance(pixels, np.ndarray) else reprlib.repr(pixels)
@@ -138,11 +140,11 @@ def _require_pixels(pixels: object) -> None:
     assert isinstance(pixels, np.ndarray)
     wrong = np.count_nonzero(~np.isfinite(pixels))
     if wrong:
-        raise InputError(f"pixels must be finite, got {wrong} of {pixels.size} that are not")
+        raise InputError(f"pixels must be finite, got {wrong} of {pixels.size} pixels that are not finite")
 
 
 def format_processing(processing: FlatPanelProcessing | ScreenFilm | None) -> str:
-    """Describe a display processing in words.
+    """Format a display processing as text.
 
     Parameters
     ----------
@@ -152,7 +154,7 @@ def format_processing(processing: FlatPanelProcessing | ScreenFilm | None) -> st
     Returns
     -------
     str
-        Name, and parameters if there are any.
+        Name of the display processing, followed by its parameters.
     """
     if processing is None:
         return "log"
@@ -164,9 +166,9 @@ def format_processing(processing: FlatPanelProcessing | ScreenFilm | None) -> st
 def _find_field_slices(
     shape: tuple[int, ...], field_mm: tuple[float, float], pixel_mm: float, shadow_mm: float
 ) -> tuple[slice, slice]:
-    """Find the rows and columns of the collimated field without its penumbra.
+    """Find the rows and columns of the collimated field, without its penumbra.
 
-    A field never consists of penumbra only.
+    If the field would consist only of penumbra, the penumbra is included.
     """
     slices = []
     for name, count, wide_mm in zip(("height", "width"), shape, reversed(field_mm), strict=True):
@@ -185,19 +187,19 @@ def _find_field_slices(
 def resolve_processing(
     processing: str | FlatPanelProcessing | ScreenFilm, presets: DisplayProcessing
 ) -> FlatPanelProcessing | ScreenFilm | None:
-    """Resolve the name of a display processing into its parameters.
+    """Return the parameters of a display processing given by name.
 
     Parameters
     ----------
     processing : {"log", "processed", "film"}, FlatPanelProcessing or ScreenFilm
-        Name, or parameters, which are returned unchanged.
+        Name, or a record of parameters, which is returned unchanged.
     presets : DisplayProcessing
-        Parameters of the named kinds.
+        Parameters of the named display processings.
 
     Returns
     -------
     FlatPanelProcessing, ScreenFilm or None
-        Parameters; None for ``"log"``, which has none.
+        Parameters; None for ``"log"``, which has no parameters.
 
     Raises
     ------
@@ -207,7 +209,7 @@ def resolve_processing(
     Warns
     -----
     DeprecationWarning
-        If the name is ``"linear"``, the earlier name of ``"log"``.
+        If the name is ``"linear"``, the deprecated name of ``"log"``.
     """
     if isinstance(processing, str):
         if processing == "linear":
@@ -228,7 +230,7 @@ def resolve_processing(
 def _render_grey(
     signal: NDArray[np.float32], processing: FlatPanelProcessing | ScreenFilm | None, pixel_mm: float
 ) -> NDArray[np.float32]:
-    """Render grey levels (rows, cols) from 0 to 1."""
+    """Render a signal as grey levels (rows, cols) from 0 to 1."""
     if processing is None:
         return render_log(signal)
     return (
@@ -241,10 +243,10 @@ def _render_grey(
 def _add_drawn_marker(
     shown: NDArray[np.float32], side: str, has_leaves: tuple[bool, ...], has_lead_marker: bool
 ) -> NDArray[np.float32]:
-    """Draw the collimator shadow and the side marker into a field (rows, cols) of grey levels from 0 to 1.
+    """Draw the collimator shadow and the side marker into an image (rows, cols) of grey levels from 0 to 1.
 
-    `has_leaves` states whether the rows, and the columns, end at real leaves. `has_lead_marker` states whether a marker
-    was in the beam. The drawn marker is in the upper corner on the lateral side.
+    `has_leaves` states for height and width whether the beam was really collimated. `has_lead_marker` states whether
+    the radiograph shows a lead marker. The drawn marker is in the upper corner on the lateral side.
     """
     require_choice("side", side, tuple(SIDE_MARKERS))
     rows, cols = shown.shape

@@ -1,6 +1,6 @@
-"""Laplacian pyramid (Burt and Adelson 1983): decomposition of an image into details by size, and a rest.
+"""Laplacian pyramid (Burt and Adelson 1983): decomposition of an image into detail layers by size, and a residual.
 
-Each layer is smoothed with the binomial 1 4 6 4 1, and mirrored at its edges without repetition of the edge pixels.
+Layers are smoothed with the binomial filter 1 4 6 4 1, and mirrored at their edges without repetition of edge pixels.
 """
 
 import numpy as np
@@ -12,21 +12,21 @@ _MIN_LAYER_PX = 4
 
 
 def split_pyramid(image: Image, max_layers: int = 32) -> tuple[list[Image], Image]:
-    """Split an image into details, from fine to coarse, and a rest.
+    """Split an image into detail layers, from fine to coarse, and a residual.
 
     Parameters
     ----------
     image : (rows, cols) float32 array, any unit
         Image to split.
     max_layers : int, default 32
-        Largest number of layers of details.
+        Maximum number of detail layers.
 
     Returns
     -------
     details : list of (rows, cols) float32 array
-        Details in the unit of the image; each layer has half the rows and columns of the one before.
+        Detail layers in the unit of the image. Each layer has half the rows and columns of the previous layer.
     rest : (rows, cols) float32 array
-        Smoothed image that is left, in the unit of the image.
+        Residual: the coarsest smoothed image, in the unit of the image.
     """
     details, rest = list[Image](), np.asarray(image, np.float32)
     while min(rest.shape) >= 2 * _MIN_LAYER_PX and len(details) < max_layers:
@@ -37,19 +37,19 @@ def split_pyramid(image: Image, max_layers: int = 32) -> tuple[list[Image], Imag
 
 
 def join_pyramid(details: list[Image], rest: Image) -> Image:
-    """Join details and a rest into an image.
+    """Reconstruct an image from detail layers and a residual.
 
     Parameters
     ----------
     details : list of (rows, cols) float32 array, any unit
-        Details from fine to coarse, such as `split_pyramid` returns.
+        Detail layers from fine to coarse, as returned by `split_pyramid`.
     rest : (rows, cols) float32 array, any unit
-        Smoothed image, in the same unit.
+        Residual, in the unit of the details.
 
     Returns
     -------
     (rows, cols) float32 array
-        Joined image; unchanged details give the image that was split.
+        Reconstructed image; unchanged details and residual give the original image.
     """
     for layer in reversed(details):
         rest = _upsample(rest, layer.shape) + layer
@@ -57,12 +57,12 @@ def join_pyramid(details: list[Image], rest: Image) -> Image:
 
 
 def _downsample(image: Image) -> Image:
-    """Smooth an image with the binomial and keep every second row and column."""
+    """Smooth an image with the binomial filter and keep every second row and column."""
     return _downsample_rows(_downsample_rows(image).T).T
 
 
 def _downsample_rows(image: Image) -> Image:
-    """Smooth the columns of an image with the binomial and keep every second row."""
+    """Smooth the columns of an image with the binomial filter and keep every second row."""
     count = (len(image) + 1) // 2
     wide = np.pad(image, ((2, 2), (0, 0)), mode="reflect")
     before, near, here, behind, after = (wide[first : first + 2 * count - 1 : 2] for first in range(5))
@@ -70,13 +70,13 @@ def _downsample_rows(image: Image) -> Image:
 
 
 def _upsample(coarse: Image, shape: tuple[int, ...]) -> Image:
-    """Interpolate an image with the binomial to the given numbers of rows and columns."""
+    """Interpolate an image to the given numbers of rows and columns with the binomial filter."""
     return _upsample_rows(_upsample_rows(coarse.T, shape[1]).T, shape[0])
 
 
 def _upsample_rows(coarse: Image, rows: int) -> Image:
-    # The image is mirrored about the last row of the result, which is a given row or one between given rows.
-    """Interpolate rows between those of an image with the binomial."""
+    # The last row is mirrored for an odd number of rows and repeated for an even number.
+    """Interpolate an image to the given number of rows with the binomial filter."""
     wide = np.concatenate((coarse[1:2], coarse, coarse[-2:-1] if rows % 2 else coarse[-1:]))
     fine = np.empty_like(coarse, shape=(rows, coarse.shape[1]))
     fine[::2] = (wide[:-2] + wide[2:] + 6 * coarse) / 8

@@ -1,4 +1,4 @@
-"""Panel readout: gain, readout noise, offset and 16-bit numbers."""
+"""Detector readout: gain, readout noise, offset and conversion to 16-bit pixel values."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,14 +6,14 @@ from numpy.typing import NDArray
 from ..xray.resolved_technique import Technique
 from .quantum_noise import Map, sample_in_bands
 
-# Value of a saturated pixel, DN.
+# Value of a saturated pixel, in DN.
 MAX_DN = 65535
 
 
 def simulate_readout(
     kev: Map, technique: Technique, seed: np.random.SeedSequence | None, workers: int = 2
 ) -> NDArray[np.uint16]:
-    """Convert absorbed energy into pixel values: gain, readout noise, offset, saturation and dead pixels.
+    """Convert absorbed energy to pixel values: gain, readout noise, offset, saturation and dead pixels.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ def simulate_readout(
     technique : Technique
         Resolved protocol.
     seed : numpy.random.SeedSequence or None
-        Seed of the readout noise (Gaussian, in electrons); None for no noise.
+        Seed of the readout noise (Gaussian, in electrons); None for no readout noise.
     workers : int, default 2
         Number of threads; it does not change the result.
 
@@ -63,7 +63,7 @@ def sample_dead_pixels(technique: Technique) -> NDArray[np.bool_]:
     Returns
     -------
     (rows, cols) bool array
-        True for pixels without a signal.
+        True for dead pixels.
     """
     protocol, rng = technique.protocol, np.random.default_rng(technique.detector.dead_seed)
     return rng.random((protocol.rows, protocol.cols)) < protocol.dead_pixels

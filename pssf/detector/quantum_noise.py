@@ -1,4 +1,4 @@
-"""Quantum noise, and the random streams of noise."""
+"""Sample quantum noise, in bands of rows with separate random streams."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 Map = NDArray[np.float32]
 # Number of quanta per pixel above which a normal distribution replaces the Poisson distribution.
 GAUSSIAN_MIN_QUANTA = 4096
-# Rows per band; each band has its own random stream.
+# Number of rows per band; each band has its own random stream.
 _BAND_ROWS = 256
 
 
@@ -23,13 +23,13 @@ def sample_quantum_noise(
     kev : (rows, cols) float32 array, keV
         Mean absorbed energy per pixel.
     photon_kev : (rows, cols) float32 array, keV
-        Mean square over mean of the energy of an absorbed photon.
+        Mean squared energy divided by mean energy of an absorbed photon.
     swank : float
         Swank factor of the detector, from 0 to 1.
     seed : numpy.random.SeedSequence
         Seed of the noise.
     workers : int, default 2
-        Number of threads. Bands of rows have their own streams, so that the result does not depend on it.
+        Number of threads; it does not change the result, because each band of rows has its own random stream.
 
     Returns
     -------
@@ -38,9 +38,10 @@ def sample_quantum_noise(
 
     Notes
     -----
-    The compound Poisson sum of photons is sampled as a Poisson count of effective quanta of equal energy. Mean and
-    variance are those of the polychromatic beam (Swank 1973). Above 4096 quanta, the count is sampled from a normal
-    distribution. This neglects a skewness below 0.016, or 0.001 in the cumulative distribution (Edgeworth).
+    The energy sum of a Poisson number of photons with various energies is sampled as a Poisson number of effective
+    quanta of equal energy. Mean and variance are those of the polychromatic beam (Swank 1973). Above 4096 quanta, the
+    number is sampled from a normal distribution. The normal distribution neglects a skewness below 0.016, which changes
+    the cumulative distribution by at most 0.001 (Edgeworth).
     """
 
     def draw(rng: np.random.Generator, rows: slice) -> Map:
@@ -63,23 +64,23 @@ def sample_in_bands(
     sample_band: Callable[[np.random.Generator, slice], Map],
     workers: int,
 ) -> Map:
-    """Sample an image in bands of rows, each from its own random stream.
+    """Sample an image in bands of rows, each with its own random stream.
 
     Parameters
     ----------
     shape : tuple of int
         Rows and columns of the image.
     seed : numpy.random.SeedSequence
-        Seed of all streams.
+        Seed from which the seeds of all bands are derived.
     sample_band : callable
-        Function of a generator and a slice of rows that returns the rows, (rows, cols) float32.
+        Function of a generator and a slice of rows that returns the sampled rows, (rows, cols) float32.
     workers : int
         Number of threads; it does not change the result.
 
     Returns
     -------
     (rows, cols) float32 array
-        The bands as one image.
+        Sampled image.
     """
     starts = range(0, shape[0], _BAND_ROWS)
     result = np.empty(shape, np.float32)
@@ -88,7 +89,7 @@ def sample_in_bands(
         rows = slice(job[0], min(job[0] + _BAND_ROWS, shape[0]))
         result[rows] = sample_band(np.random.default_rng(job[1]), rows)
 
-    # Child seeds are made by key. SeedSequence.spawn() would give other children if the same seed is used twice.
+    # Child seeds have explicit keys, because SeedSequence.spawn() gives different children when it is called again.
     children = [np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in range(len(starts))]
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(fill, zip(starts, children, strict=True)))

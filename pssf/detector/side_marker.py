@@ -1,4 +1,4 @@
-"""Side marker: a letter drawn into an image, or a lead letter on the detector cover."""
+"""Side marker: a lead letter on the detector cover, or a letter drawn into an image."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,21 +6,21 @@ from numpy.typing import NDArray
 from ..xray.collimator import field_half_size_mm
 from ..xray.resolved_technique import Technique
 
-# Height of the letter, in mm.
+# Height of the lead letter, in mm.
 _HIGH_MM = 15.0
-# Distance of the letter from the corner of the field, in mm.
+# Distance of the lead letter from both edges at the corner of the field, in mm.
 _INSET_MM = 6.0
-# Transmission of 2 mm of lead.
+# Transmission of the lead letter, 2 mm thick.
 _PASSES = 0.01
 
 
 def compute_marker_transmission(technique: Technique) -> NDArray[np.float32]:
-    """Compute the fraction of the signal that passes the lead marker of a protocol.
+    """Compute the fraction of the signal that the lead marker of a protocol transmits.
 
     Parameters
     ----------
     technique : Technique
-        Resolved protocol; `marker` is R or L, and defines the upper corner of the field.
+        Resolved protocol. Its `marker` is R (upper left corner of the field) or L (upper right corner).
 
     Returns
     -------
@@ -58,9 +58,9 @@ def draw_letter(
     Returns
     -------
     (rows, cols) float32 array
-        1 inside the letter and 0 elsewhere.
+        Image with 1 inside the letter and 0 elsewhere.
     """
-    from PIL import Image, ImageDraw, ImageFont  # Imported here, because most images have no letter.
+    from PIL import Image, ImageDraw, ImageFont  # Imported here because it is rarely needed.
 
     sheet = Image.new("L", (shape[1], shape[0]))
     font = ImageFont.load_default(max(height_px, 1.0))

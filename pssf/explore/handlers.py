@@ -1,4 +1,4 @@
-"""Request handlers: answer each kind of request by a header and bytes."""
+"""Answer each kind of request by a JSON-ready header and bytes."""
 
 from collections.abc import Callable
 from os import getpid
@@ -26,11 +26,11 @@ from .stage_cache import ENGINE, SimulatedImage, StageCache
 
 Header = dict[str, Any]
 Answer = tuple[Header, bytes]
-# Exposure figures use at most about this number of pixels per side; a larger detector is subsampled.
+# Approximate largest number of rows or columns for exposure values. Images of larger detectors are subsampled.
 _STATISTICS_SIDE_PX = 512
-# Half the side of the square at the joint in which scatter is measured, in mm on the detector.
+# Half edge length of the square region at the joint in which scatter is measured, in mm on the detector.
 _ROI_HALF_MM = 3.0
-# Tolerance for simplifying the surfaces of the 3D view, in mm.
+# Largest distance by which surfaces of the 3D view may move to save triangles, in mm.
 _MESH_TOLERANCE_MM = 0.1
 
 
@@ -40,16 +40,16 @@ def handle_radiograph(cache: StageCache, request: ResolvedRequest) -> Answer:
     Parameters
     ----------
     cache : StageCache
-        Cached knees, path lengths and images.
+        Cache of knees, path lengths and images.
     request : ResolvedRequest
-        Request of the page.
+        Validated request from the page.
 
     Returns
     -------
     header : dict
-        Image size, exposure figures, computing times and, at full resolution, the labels.
+        Image size, exposure values and computing times; at full resolution also labels.
     content : bytes
-        Pixels with the display processing of the request, row by row, uint16 little-endian.
+        Pixels with the requested display processing, row by row, uint16 little-endian.
     """
     began = process_time()
     made = cache.simulate_image(request.knee, request.protocol, request.seed)
@@ -75,7 +75,7 @@ def handle_radiograph(cache: StageCache, request: ResolvedRequest) -> Answer:
 
 
 def _render_pixels(pixels: NDArray[np.uint16], result: SimulatedImage, request: ResolvedRequest) -> NDArray[np.uint16]:
-    """Apply the display processing of a request, with 16 bits per pixel."""
+    """Apply the requested display processing, with 16 bits per pixel."""
     if request.processing == "linear":
         return pixels
     bare = Radiograph(pixels=pixels, protocol=result.protocol, seed=request.seed)
@@ -85,7 +85,7 @@ def _render_pixels(pixels: NDArray[np.uint16], result: SimulatedImage, request: 
 def _compute_exposure_figures(result: SimulatedImage) -> Header:
     """Compute exposure index, entrance air kerma and scatter-to-primary ratios of the limb and at the joint.
 
-    A figure without a value is None.
+    Values that cannot be computed are None.
     """
     image, protocol = result.image, result.protocol
     step = max(1, max(protocol.rows, protocol.cols) // _STATISTICS_SIDE_PX)
@@ -104,14 +104,14 @@ def _compute_exposure_figures(result: SimulatedImage) -> Header:
 
 
 def _scatter_to_primary(scatter: Array | None, primary: Array, where: Any) -> float | None:
-    """Return the scatter-to-primary ratio in a region, or None without scatter or primary."""
+    """Return the scatter-to-primary ratio in a region, or None if the image has no scatter or primary signal."""
     if scatter is None or not primary[where].sum() > 0:
         return None
     return float(scatter[where].sum() / primary[where].sum())
 
 
 def _joint_region(result: SimulatedImage, step: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """Return the slices of a square around the projected centre of the knee, in the subsampled image."""
+    """Return row and column slices of a square around the projected knee centre, in the subsampled image."""
     view = resolve_view(result.protocol)
     row, col = project_points(np.zeros((1, 3)), view)[0]
     half = max(1, round(_ROI_HALF_MM / result.protocol.pixel_mm / step))
@@ -136,9 +136,9 @@ def handle_probe(cache: StageCache, request: ResolvedRequest) -> Answer:
     Parameters
     ----------
     cache : StageCache
-        Cached knees, path lengths and images.
+        Cache of knees, path lengths and images.
     request : ResolvedRequest
-        Request of the page, which names row and column.
+        Validated request from the page, which gives row and column.
 
     Returns
     -------
@@ -152,20 +152,20 @@ def handle_probe(cache: StageCache, request: ResolvedRequest) -> Answer:
     inside = 0 <= row < request.protocol.rows and 0 <= col < request.protocol.cols
     if paths is None or not inside:
         return {"path_mm": None}, b""
-    # Do not round: the page rounds too, and rounding twice would turn 1.7449 into 1.75.
+    # Path lengths are not rounded here, because the page rounds them, and two roundings would turn 1.7449 into 1.75.
     along = {name: float(values[row, col]) for name, values in paths.path_mm.items()}
     return {"path_mm": {name: mm for name, mm in along.items() if mm > 5e-4}}, b""
 
 
 def handle_masks(cache: StageCache, request: ResolvedRequest) -> Answer:
-    """Render a mask of each bone, osteophyte and cyst.
+    """Render one mask per bone, osteophyte and cyst.
 
     Parameters
     ----------
     cache : StageCache
-        Cached knees, path lengths and images.
+        Cache of knees, path lengths and images.
     request : ResolvedRequest
-        Request of the page.
+        Validated request from the page.
 
     Returns
     -------
@@ -182,14 +182,14 @@ def handle_masks(cache: StageCache, request: ResolvedRequest) -> Answer:
 
 
 def handle_solids(cache: StageCache, request: ResolvedRequest) -> Answer:
-    """Build the page of the 3D view with surfaces, beam and detector.
+    """Build the 3D page with the surfaces of the knee, the beam and the detector.
 
     Parameters
     ----------
     cache : StageCache
-        Cached knees, path lengths and images.
+        Cache of knees, path lengths and images.
     request : ResolvedRequest
-        Request of the page.
+        Validated request from the page.
 
     Returns
     -------
@@ -204,14 +204,14 @@ def handle_solids(cache: StageCache, request: ResolvedRequest) -> Answer:
 
 
 def handle_file(cache: StageCache, request: ResolvedRequest) -> Answer:
-    """Build a file for export; a radiograph has full resolution.
+    """Encode a file for export; a radiograph has full resolution.
 
     Parameters
     ----------
     cache : StageCache
-        Cached knees, path lengths and images.
+        Cache of knees, path lengths and images.
     request : ResolvedRequest
-        Request of the page, which names the kind of file.
+        Validated request from the page, which gives the file format.
 
     Returns
     -------
@@ -223,7 +223,7 @@ def handle_file(cache: StageCache, request: ResolvedRequest) -> Answer:
     Raises
     ------
     InputError
-        If no kind of file is given.
+        If the request gives no file format.
     """
     knee, protocol, kind = request.knee, request.full_protocol, request.kind
     stem = f"knee_{protocol.name}_seed{request.seed}"
@@ -232,13 +232,13 @@ def handle_file(cache: StageCache, request: ResolvedRequest) -> Answer:
             "knee.toml": _format_toml(knee_to_dict(knee)),
             "protocol.toml": _format_toml(protocol_to_dict(protocol)),
         }
-        text["py"] = format_python_lines(knee, protocol, request.seed)
+        text["py"] = format_python_lines(knee, protocol, request.seed, request.processing)
         return {"name": kind if kind != "py" else f"{stem}.py"}, text[kind].encode()
     if kind in MESH_KINDS:
         name, content = encode_meshes(cache.build_knee(knee, protocol).scene, kind, "knee")
         return {"name": name}, content
     if not kind:
-        raise InputError(f"kind must be a kind of file, got {kind!r}")
+        raise InputError(f"kind must be a file format, got {kind!r}")
     built = cache.build_knee(knee, protocol)
     done = simulate(built, protocol, rng=request.seed, engine=ENGINE, paths=cache.find_paths(knee, protocol))
     return {"name": f"{stem}.{kind}"}, encode_radiograph(done, kind)

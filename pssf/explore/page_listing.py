@@ -1,4 +1,4 @@
-"""Listing of the fields, grade tables, protocols and presets from which the page is built."""
+"""List the fields, grade tables, protocols and presets from which the page is built."""
 
 from collections.abc import Mapping
 from dataclasses import fields
@@ -21,9 +21,9 @@ from ..model.knee import (
 )
 from ..model.protocol import load_protocol, protocol_to_dict
 
-# Largest integer that a browser holds exactly. Larger integers are sent as text.
+# Largest integer that JavaScript represents exactly. Larger integers are sent as text.
 MAX_EXACT_INTEGER = 2**53 - 1
-# Largest number of rows or columns. A larger detector needs several gigabytes with all cached data.
+# Largest number of rows or columns on the page. Cached data of a larger detector need several gigabytes.
 MAX_SIDE_PX = 4096
 _ITEMS: dict[str, type[Any]] = {"osteophyte": Osteophyte, "cyst": Cyst}
 
@@ -35,7 +35,8 @@ def build_listing() -> dict[str, Any]:
     Returns
     -------
     dict
-        JSON-ready: groups of fields with unit, range and description, grade tables, protocols, presets and defaults.
+        JSON-ready listing: groups of fields with label, unit, range and description, grade tables, protocols,
+        kinds of display processing, presets and defaults.
     """
     table, laws = load_page_settings(), {kind: load_field_specs(kind) for kind in ("knee", "protocol", *_ITEMS)}
     optional = {name for name, law in laws["knee"].items() if law.optional}
@@ -46,7 +47,7 @@ def build_listing() -> dict[str, Any]:
         "items": {f"{kind}s": _describe_fields(of, laws[kind], table) for kind, of in _ITEMS.items()},
         "most": {"osteophytes": 12, "cysts": MAX_CYSTS},
         "shape": [
-            {"name": mode.name, "also": mode.also, "share": mode.share, "low": -MAX_SHAPE_SD, "high": MAX_SHAPE_SD}
+            {"name": mode.name, "also": mode.also, "low": -MAX_SHAPE_SD, "high": MAX_SHAPE_SD}
             for mode in load_shape_model().modes
         ],
         "tables": {name: list(load_grade_table(name).grades) for name in list_grade_tables()},
@@ -55,13 +56,18 @@ def build_listing() -> dict[str, Any]:
             name: {"knee": _make_start_knee(preset.knee, optional, f"preset {name}"), "protocol": preset.protocol}
             for name, preset in table.preset.items()
         },
-        "default": {"knee": _make_start_knee({}, optional, "default"), "protocol": "reference"},
+        "processing": dict(table.processing),
+        "default": {
+            "knee": _make_start_knee({}, optional, "default"),
+            "protocol": "reference",
+            "processing": next(iter(table.processing)),
+        },
         "largest_seed": MAX_EXACT_INTEGER,
     }
 
 
 def knee_to_page_dict(knee: Knee) -> dict[str, Any]:
-    """Convert a knee to a dict that a browser can hold.
+    """Convert a knee to a dict of values that JavaScript represents exactly.
 
     Parameters
     ----------
@@ -71,42 +77,43 @@ def knee_to_page_dict(knee: Knee) -> dict[str, Any]:
     Returns
     -------
     dict
-        Value of each field; seeds are text, because a browser would round them.
+        Values, keyed by field name. Seeds are text, because JavaScript would round them.
     """
     return {**knee_to_dict(knee), **{name: str(getattr(knee, name)) for name in ("form_seed", "texture_seed")}}
 
 
 def _make_start_knee(given: dict[str, Any], optional: set[str], source_name: str) -> dict[str, Any]:
-    """Make the dict of an initial knee; optional fields stay None, so that they keep following BMI and sex."""
+    """Make the dict of an initial knee; optional fields stay None, so that BMI and sex determine them."""
     return knee_to_page_dict(knee_from_dict(given, source_name)) | dict.fromkeys(optional - set(given))
 
 
 def _describe_group(group: FieldGroup, laws: Mapping[str, FieldSpec], table: PageSettings) -> dict[str, Any]:
-    """Describe a group of fields."""
+    """Describe the title and the fields of a group."""
     return {"title": group.title, "fields": [_describe_field(name, laws[name], table) for name in group.fields]}
 
 
 def _describe_fields(item_type: type[Any], laws: Mapping[str, FieldSpec], table: PageSettings) -> list[dict[str, Any]]:
-    """Describe the fields of an osteophyte or a cyst, with the value of a new one."""
+    """Describe the fields of an osteophyte or cyst, with the initial values of a new item."""
     defaults = {one.name: one.default for one in fields(item_type)}
     listed = [_describe_field(name, law, table) for name, law in laws.items()]
     return [{**one, "start": _start_value(one, defaults[one["name"]])} for one in listed]
 
 
 def _start_value(field: dict[str, Any], default: Any) -> Any:
-    """Return the initial value of a field: its default, else its first choice or a small size."""
+    """Return the initial value of a field: the default, else the first choice, else a small size."""
     if isinstance(default, int | float | str):
         return default
     return field["choices"][0] if field["choices"] else max(2.0, field["low"])
 
 
 def _describe_field(name: str, law: FieldSpec, table: PageSettings) -> dict[str, Any]:
-    """Describe a field: name, unit, range, source and kind of control."""
+    """Describe a field by name, label, unit, range, source and type of control."""
     bounds = law.range or law.integer_range
     low, high = bounds or (None, None)
     shown = table.slider.get(name, bounds) or (None, None)
     return {
         "name": name,
+        "label": law.label,
         "what": law.description,
         "unit": law.unit,
         "allowed": law.allowed_text,

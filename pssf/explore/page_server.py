@@ -1,4 +1,4 @@
-"""Server of the page: its addresses and its start. It is bound to this machine only."""
+"""Server of the page: its addresses and its start. The server accepts connections from this machine only."""
 
 import asyncio
 import json
@@ -43,21 +43,21 @@ from .request_schema import (
 )
 
 HOST = "127.0.0.1"
-# Number of pages of the 3D view that are kept for their frames.
+# Number of 3D pages that the server keeps, because a browser frame may load them later.
 _MAX_SOLIDS_PAGES = 8
-# Largest side of the first image, in pixels. It is simulated before the first request.
+# Larger number of rows or columns of the first image, which is simulated before the first request.
 _FIRST_SIDE_PX = 512
 _BINARY_KINDS = ("radiograph", "masks", "probe")
 Handler = Callable[[Request], Awaitable[Response]]
 
 
 class Endpoints:
-    """Request handlers of the server.
+    """HTTP endpoints of the server.
 
     Parameters
     ----------
     worker : Worker
-        Process that answers the requests.
+        Worker process that answers the requests.
     """
 
     def __init__(self, worker: Worker) -> None:
@@ -70,7 +70,7 @@ class Endpoints:
         Parameters
         ----------
         request : Request
-            HTTP request with the file name in its path.
+            HTTP request with a file name in the path.
 
         Returns
         -------
@@ -84,7 +84,7 @@ class Endpoints:
         return Response(content, media_type=kind)
 
     async def serve_listing(self, request: Request) -> Response:
-        """Return the listing from which the page is built.
+        """Return the listing of fields, tables and protocols from which the page is built.
 
         Parameters
         ----------
@@ -115,7 +115,7 @@ class Endpoints:
         return JSONResponse(await asyncio.to_thread(sample_page_knee, body))
 
     async def serve_binary(self, request: Request) -> Response:
-        """Return a radiograph, masks or path lengths.
+        """Return a radiograph, masks or the path lengths at a pixel.
 
         Parameters
         ----------
@@ -125,7 +125,7 @@ class Endpoints:
         Returns
         -------
         Response
-            Length of the JSON header as uint32, the header, and the content.
+            Bytes: length of the JSON header as uint32, header, content.
         """
         kind = request.path_params["kind"]
         if kind not in _BINARY_KINDS:
@@ -147,14 +147,14 @@ class Endpoints:
         Returns
         -------
         Response
-            File with its name.
+            Content of the file, with the file name in the response header.
         """
         header, content = await self._dispatch_request("file", request)
         named = {"Content-Disposition": f'attachment; filename="{header["name"]}"'}
         return Response(content, media_type="application/octet-stream", headers=named)
 
     async def make_solids_page(self, request: Request) -> Response:
-        """Build a page of the 3D view and return its address.
+        """Build a 3D page and return its address.
 
         Parameters
         ----------
@@ -164,7 +164,7 @@ class Endpoints:
         Returns
         -------
         Response
-            Address as JSON.
+            Address of the 3D page as JSON.
         """
         _, content = await self._dispatch_request("solids", request)
         name = secrets.token_urlsafe(8)
@@ -174,12 +174,12 @@ class Endpoints:
         return JSONResponse({"page": f"solids/{name}"})
 
     async def serve_solids_page(self, request: Request) -> Response:
-        """Return a page of the 3D view.
+        """Return a 3D page.
 
         Parameters
         ----------
         request : Request
-            HTTP request with the name of the page in its path.
+            HTTP request with the name of the 3D page in the path.
 
         Returns
         -------
@@ -193,32 +193,32 @@ class Endpoints:
         return Response(page, media_type="text/html; charset=utf-8", headers=headers)
 
     async def _dispatch_request(self, kind: str, request: Request) -> tuple[dict[str, object], bytes]:
-        """Parse and check a request and pass it to the worker."""
+        """Parse and check a request, and pass it to the worker."""
         state = parse_state(await read_json_body(request))
         return await self._dispatch.ask(kind, state.tab, resolve_state(state))
 
     async def warm_up(self) -> None:
-        """Simulate a first image, so that the template bones are ready when the page sends its first request."""
+        """Simulate one image in advance, so that the template bones are loaded before the first request of the page."""
         protocol = load_protocol("reference")
         coarse = coarsen_protocol(protocol, _FIRST_SIDE_PX)
         first = ResolvedRequest(
-            knee=Knee(), protocol=coarse, full_protocol=protocol, seed=0, processing="linear", kind="", pixel=(0, 0)
+            knee=Knee(), protocol=coarse, full_protocol=protocol, seed=0, processing="processed", kind="", pixel=(0, 0)
         )
         with suppress(SupersededError, RuntimeError, InputError):
             await self._dispatch.ask("radiograph", "", first)
 
 
 def make_application(token: str, port: int, worker: Worker) -> RequestGuard:
-    """Make the web application of the server, behind its access checks.
+    """Make the web application of the server, with access checks.
 
     Parameters
     ----------
     token : str
-        Secret token that every address starts with.
+        Secret token with which every address starts.
     port : int
         Port of the server.
     worker : Worker
-        Process that answers the requests.
+        Worker process that answers the requests.
 
     Returns
     -------
@@ -254,7 +254,7 @@ def make_application(token: str, port: int, worker: Worker) -> RequestGuard:
 
 
 def _catch_errors(handler: Handler) -> Handler:
-    """Wrap a handler so that each error becomes one line of JSON with an HTTP status."""
+    """Wrap a handler so that it returns errors as one line of JSON with an HTTP status."""
 
     async def answered(request: Request) -> Response:
         try:
@@ -264,9 +264,7 @@ def _catch_errors(handler: Handler) -> Handler:
         except InputError as error:
             return make_error_response(400, str(error))
         except SupersededError:
-            return make_error_response(
-                409, "request must be the latest of its tab, got one that a newer one superseded"
-            )
+            return make_error_response(409, "request was superseded by a newer request of the same tab")
         except WorkersLostError as error:
             return make_error_response(503, f"worker process was lost: {error}; repeat the request")
         except RuntimeError as error:
@@ -288,9 +286,9 @@ def serve(port: int = 0, *, browser: bool = True, report_link: Callable[[str], N
     Parameters
     ----------
     port : int, default 0
-        Port from 0 to 65535; 0 selects a free one.
+        Port from 0 to 65535; 0 selects a free port.
     browser : bool, default True
-        Whether the link is opened in a browser.
+        True opens the link in the default browser.
     report_link : callable, optional
         Function that receives the link; it is printed by default.
 
@@ -309,7 +307,7 @@ def serve(port: int = 0, *, browser: bool = True, report_link: Callable[[str], N
     sys.stdout.flush()
     if browser and not open_new_tab(link):
         print("pssf: no browser found; open the link above", file=sys.stderr)
-    # The server ends at Ctrl-C and then raises the signal again. Ignore it, so that no aborted work is reported.
+    # At Ctrl-C the server ends and raises the signal again. The second signal is ignored, so that no traceback appears.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     uvicorn.Server(config).run(sockets=[held])
 
@@ -320,9 +318,11 @@ def _bind_socket(port: int) -> socket.socket:
     held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         held.bind((HOST, port))
-        # Listen now: a browser that opens the link early then waits instead of failing.
+        # The socket listens before the server starts, so that an early request of the browser waits instead of failing.
         held.listen()
     except OSError as error:
         held.close()
-        raise InputError(f"port must be free, got {port} ({error.strerror}): use another one, or 0 for any") from None
+        raise InputError(
+            f"port must be free, got {port} ({error.strerror}): use another port, or 0 for any free port"
+        ) from None
     return held

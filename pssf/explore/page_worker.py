@@ -1,4 +1,4 @@
-"""Worker process that holds the cache and answers one request after another."""
+"""Worker process with the cache of stages, which answers one request after another."""
 
 import signal
 from collections.abc import Callable
@@ -12,16 +12,16 @@ from ..core.processes.child_processes import start_without_working_folder
 from ..core.processes.worker_processes import WorkersLostError, retain_freed_memory
 from .request_schema import ResolvedRequest
 
-# Time in which the process may end by itself, in s.
+# Time limit after which the process is killed if it has not ended by itself, in s.
 _SHUTDOWN_TIMEOUT_S = 2.0
 
 
 class SupersededError(Exception):
-    """Error of a request that a newer request of the same tab has replaced."""
+    """Error of a request that a newer request of the same tab supersedes."""
 
 
 class Worker:
-    """Worker process, started at the first request and again after it was killed."""
+    """Worker process, which is started at the first request and after it was killed."""
 
     def __init__(self) -> None:
         self._context = get_context("spawn")
@@ -35,11 +35,11 @@ class Worker:
 
     @property
     def pid(self) -> int | None:
-        """Process ID; None without a process."""
+        """Process ID; None if no process is running."""
         return None if self._process is None else self._process.pid
 
     def cancel_current(self) -> None:
-        """Cancel the current request; it stops before its next stage."""
+        """Cancel the current request before its next stage."""
         if self._stop is not None:
             with suppress(OSError):
                 self._stop.send(self._number)
@@ -52,7 +52,7 @@ class Worker:
         job : str
             Kind of request, a key of `handlers.HANDLERS`.
         wanted : ResolvedRequest or None
-            Request of the page.
+            Validated request from the page.
 
         Returns
         -------
@@ -70,7 +70,7 @@ class Worker:
         WorkersLostError
             If the process was killed or is closed.
         RuntimeError
-            If the request failed.
+            If the request caused an unexpected error.
         """
         with self._starting:
             if self._closed:
@@ -86,20 +86,20 @@ class Worker:
             raise WorkersLostError("the worker process was killed") from None
         if outcome == "superseded":
             raise SupersededError
-        if outcome == "refused":
+        if outcome == "error":
             raise InputError(header["error"])
         if outcome == "failed":
             raise RuntimeError(header["error"])
         return header, content
 
     def close(self) -> None:
-        """End the process and release threads that wait for its answer."""
+        """End the process, and release threads that wait for an answer."""
         with self._starting:
             self._closed = True
         process = self._process
         if process is not None:
             self.cancel_current()
-            # Keep the pipe open, because another thread may wait on it.
+            # The pipe is not closed, because another thread may wait for it.
             with suppress(OSError):
                 self._pipe.send(None)
             process.join(_SHUTDOWN_TIMEOUT_S)
@@ -107,7 +107,7 @@ class Worker:
 
     def _start(self) -> None:
         """Start the process with new pipes."""
-        # Share no lock with the process: if it is killed, it would never release the lock.
+        # Pipes are used and no locks are shared, because a killed process would never release its lock.
         self._pipe, theirs = self._context.Pipe()
         heard, self._stop = self._context.Pipe(duplex=False)
         self._process = self._context.Process(target=run_worker, args=(theirs, heard), daemon=True)
@@ -131,11 +131,11 @@ def run_worker(pipe: Any, stop: Any) -> None:
     Parameters
     ----------
     pipe : Connection
-        Connection that delivers numbered requests, and None at the end, and takes the answers.
+        Connection that delivers numbered requests, then None, and receives the answers.
     stop : Connection
         Connection that delivers the numbers of cancelled requests.
     """
-    # Ctrl-C in the terminal also reaches this process. Ignore it, because the server ends the process itself.
+    # Ctrl-C in the terminal also reaches this process. The signal is ignored, because the server ends the process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     retain_freed_memory()
     from .stage_cache import StageCache
@@ -170,12 +170,12 @@ def _handle_request(cache: Any, job: str, request: ResolvedRequest | None) -> tu
 
 
 def _run_handler(handler: Callable[[], tuple[dict[str, Any], bytes]]) -> tuple[str, dict[str, Any], bytes]:
-    """Run a handler and return its outcome, a header and bytes; errors become an outcome."""
+    """Run a handler; return an outcome such as "done" or "error", a header and bytes."""
     try:
         return "done", *handler()
     except SupersededError:
         return "superseded", {}, b""
     except InputError as error:
-        return "refused", {"error": str(error)}, b""
-    except Exception as error:  # The process continues with the next request.
+        return "error", {"error": str(error)}, b""
+    except Exception as error:  # After any error the process continues with the next request.
         return "failed", {"error": f"{type(error).__name__}: {error}".splitlines()[0]}, b""

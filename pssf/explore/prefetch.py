@@ -1,4 +1,4 @@
-"""Prefetch of X-ray spectra for the tube-voltage slider, in a separate low-priority process."""
+"""Compute X-ray spectra for the tube-voltage slider in advance, in a separate low-priority process."""
 
 import os
 import signal
@@ -10,27 +10,27 @@ from ..core.processes.child_processes import start_without_working_folder
 from ..data.knees.field_definitions import load_field_specs
 from ..model.protocol import load_protocol
 
-# Lowest process priority of Unix.
+# Nice value of the lowest process priority on Unix.
 _NICE_LEVEL = 19
 
 
 def start_spectrum_prefetch(protocol_name: str = "reference") -> Any:
-    """Start a process that computes the spectra of a tube at all integer voltages in kV.
+    """Start a process that computes X-ray spectra at all integer tube voltages in kV.
 
     Parameters
     ----------
     protocol_name : str, default "reference"
-        Protocol that gives anode angle and filtration.
+        Name of the protocol with the anode angle and filtration of the tube.
 
     Returns
     -------
     Process
-        Started process.
+        The started process, which the caller ends.
 
     Notes
     -----
     The spectra are stored in the cache folder of the user. SpekPy needs some tenths of a second for a new voltage,
-    which is too long for an exposure slider.
+    which is too long for a response to the slider.
     """
     process = get_context("spawn").Process(target=compute_spectra, args=(protocol_name,), daemon=True)
     with start_without_working_folder():
@@ -39,14 +39,14 @@ def start_spectrum_prefetch(protocol_name: str = "reference") -> Any:
 
 
 def compute_spectra(protocol_name: str) -> None:
-    """Compute the spectra of a tube, starting at the voltage of the protocol; this function runs in the process.
+    """Compute X-ray spectra in the started process, beginning with voltages near the protocol voltage.
 
     Parameters
     ----------
     protocol_name : str
-        Protocol that gives tube voltage, anode angle and filtration.
+        Name of the protocol with tube voltage, anode angle and filtration.
     """
-    # Ctrl-C in the terminal also reaches this process. Ignore it, because the server ends the process itself.
+    # Ctrl-C in the terminal also reaches this process. The signal is ignored, because the server ends the process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(OSError, AttributeError):
         os.nice(_NICE_LEVEL)

@@ -1,4 +1,4 @@
-"""Python code that reproduces the image on the page."""
+"""Format Python code that reproduces the image on the page."""
 
 from dataclasses import MISSING, fields
 from typing import Any
@@ -10,8 +10,8 @@ from .stage_cache import ENGINE
 _PSSF_TYPES = (Knee, Protocol, Osteophyte, Cyst)
 
 
-def format_python_lines(knee: Knee, protocol: Protocol, seed: int) -> str:
-    """Format Python code that simulates a radiograph with the same pixels.
+def format_python_lines(knee: Knee, protocol: Protocol, seed: int, processing: str) -> str:
+    """Format Python code that simulates the same radiograph and renders it as the page does.
 
     Parameters
     ----------
@@ -21,16 +21,20 @@ def format_python_lines(knee: Knee, protocol: Protocol, seed: int) -> str:
         Acquisition protocol.
     seed : int
         Noise seed.
+    processing : str
+        Display processing of the page; ``"linear"`` for linear pixels.
 
     Returns
     -------
     str
-        Three lines of Python that assign ``radiograph``.
+        Lines of Python that assign ``radiograph`` and, unless the processing is ``"linear"``, ``image``.
     """
+    rendering = f"image = pssf.render_for_display(radiograph, bits=16, processing={processing!r})\n"
     return (
         "import pssf\n"
         f"knee, protocol = {_format_call(knee)}, {_format_call(protocol)}\n"
         f"radiograph = pssf.simulate(knee, protocol, rng={seed}, engine={ENGINE!r})\n"
+        f"{'' if processing == 'linear' else rendering}"
     )
 
 

@@ -1,4 +1,4 @@
-"""Access checks of the server: token, host, origin, and the size of requests."""
+"""Check access to the server: token, host, origin, and size of requests."""
 
 import base64
 import hashlib
@@ -15,7 +15,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 # Largest size of a request body, in bytes.
 MAX_BODY_BYTES = 65_536
 _ALLOWED_HOSTS = ("127.0.0.1", "localhost")
-# The browser may load only the files of the page, and no other site may embed the page.
+# Policy with which the browser loads only files of the page, and no other site can embed the page.
 CONTENT_SECURITY_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; frame-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -38,7 +38,7 @@ class RefusedError(Exception):
     status : int
         HTTP status.
     why : str
-        Reason.
+        Reason that is shown to the user.
     """
 
     def __init__(self, status: int, why: str) -> None:
@@ -59,7 +59,7 @@ def make_error_response(status: int, reason: str) -> JSONResponse:
     Returns
     -------
     JSONResponse
-        Response with the key ``error``.
+        Response whose JSON has the key ``error``.
     """
     return JSONResponse({"error": reason}, status)
 
@@ -70,7 +70,7 @@ def build_page_policy(page: str) -> str:
     Parameters
     ----------
     page : str
-        HTML page.
+        Content of the HTML page.
 
     Returns
     -------
@@ -88,20 +88,20 @@ def build_page_policy(page: str) -> str:
 
 
 def _hash_source(text: str) -> str:
-    """Return the policy source of an inline script or style."""
+    """Return the hash by which a policy identifies an inline script or style."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
 @dataclass(frozen=True)
 class RequestGuard:
-    """ASGI application that rejects foreign requests and adds security headers to every response.
+    """ASGI application that rejects requests from other sites, and adds security headers to every response.
 
     Parameters
     ----------
     app : ASGIApp
         Application that receives the accepted requests.
     token : str
-        Secret token that every address starts with.
+        Secret token with which every address starts.
     port : int
         Port of the server.
     """
@@ -124,7 +124,7 @@ class RequestGuard:
         """Return the reason for rejecting a request, or None."""
         headers = _read_headers(scope)
         if headers is None:
-            return "Host, Origin and Sec-Fetch-Site must be given once, got one of them twice"
+            return "Host, Origin and Sec-Fetch-Site must be given once, got a repeated header"
         names = [f"{host}:{self.port}" for host in _ALLOWED_HOSTS]
         if headers.get("host") not in names:
             return f"host must be {' or '.join(names)}, got {headers.get('host', '')[:80]!r}"
@@ -135,12 +135,12 @@ class RequestGuard:
             return f"sec-fetch-site must be same-origin, got {headers['sec-fetch-site'][:80]!r}"
         given = scope["path"].split("/")[1]
         if not secrets.compare_digest(given.encode("utf-8", "replace"), self.token.encode()):
-            return "token must be that of this server, got another one: use the link that pssf explore prints"
+            return "token must be that of the running server, got another token: use the link that pssf explore prints"
         return None
 
 
 def _read_headers(scope: Scope) -> Mapping[str, str] | None:
-    """Return the headers by name, or None if a header that is checked occurs twice."""
+    """Return the headers, keyed by name, or None if a checked header occurs twice."""
     headers: dict[str, str] = {}
     for name, value in scope["headers"]:
         key = name.decode("latin-1").lower()
@@ -181,7 +181,7 @@ async def read_json_body(request: Request) -> bytes:
     Raises
     ------
     RefusedError
-        If the content type is not JSON, or the body is larger than `MAX_BODY_BYTES` or incomplete.
+        If the content type is not JSON, or the body is incomplete or larger than `MAX_BODY_BYTES`.
     """
     kind = request.headers.get("content-type", "").split(";")[0].strip().lower()
     if kind != "application/json":
@@ -195,5 +195,5 @@ async def read_json_body(request: Request) -> bytes:
                 raise RefusedError(413, f"request must be at most {MAX_BODY_BYTES} bytes, got over {MAX_BODY_BYTES}")
             parts.append(part)
     except ClientDisconnect:
-        raise RefusedError(400, "request must be complete, got one that was cut off") from None
+        raise RefusedError(400, "request must be complete, got an incomplete body") from None
     return b"".join(parts)

@@ -1,4 +1,4 @@
-"""Queue of requests from many tabs to one worker, where newer requests of a tab supersede older ones."""
+"""Queue of requests from many tabs to one worker; a newer request of a tab supersedes older ones."""
 
 import asyncio
 from dataclasses import dataclass
@@ -9,20 +9,20 @@ from ..core.processes.worker_processes import WorkersLostError
 from .page_worker import SupersededError, Worker
 from .request_schema import ResolvedRequest
 
-# Order in which kinds of requests are answered: fast ones first.
+# Kinds of requests in the order in which they are answered; fast kinds come first.
 PRIORITY = ("probe", "radiograph", "masks", "file", "solids")
-# Kinds of requests that a new radiograph of the same tab makes obsolete.
+# Kinds of requests that a new radiograph request of the same tab supersedes.
 _SUPERSEDED_BY_RADIOGRAPH = ("masks", "solids")
 # Largest number of waiting requests.
 _MAX_WAITING = 64
-# Largest number of workers that a request is given to if they are killed.
+# Largest number of workers that try to answer a request if workers are killed.
 _MAX_TRIES = 2
 Answer = tuple[dict[str, Any], bytes]
 
 
 @dataclass(eq=False)
 class _Job:
-    """A request with the future of its answer."""
+    """Request with a future for its answer."""
 
     tab: str
     kind: str
@@ -30,18 +30,18 @@ class _Job:
     answer: "asyncio.Future[Answer]"
 
     def is_superseded_by(self, newer: "_Job") -> bool:
-        """Report whether a newer job makes this one obsolete; a requested file never becomes obsolete."""
+        """Return whether a newer job supersedes the present job; a file request is never superseded."""
         kinds = (newer.kind, *(_SUPERSEDED_BY_RADIOGRAPH if newer.kind == "radiograph" else ()))
         return self.tab == newer.tab and self.kind in kinds and self.kind != "file"
 
 
 class Dispatcher:
-    """Waiting requests and the one that is running.
+    """Queue of waiting requests, and the running request.
 
     Parameters
     ----------
     worker : Worker
-        Process that answers the requests.
+        Worker process that answers the requests.
     """
 
     def __init__(self, worker: Worker) -> None:
@@ -60,7 +60,7 @@ class Dispatcher:
         tab : str
             Name of the browser tab.
         wanted : ResolvedRequest
-            Request of the page.
+            Validated request from the page.
 
         Returns
         -------
@@ -72,13 +72,13 @@ class Dispatcher:
         Raises
         ------
         InputError
-            If the request contains an invalid value, or if too many requests are waiting.
+            If the request contains an invalid value, or too many requests are waiting.
         SupersededError
-            If a newer request of the tab has replaced this one.
+            If a newer request of the tab supersedes the request.
         WorkersLostError
             If the worker process was killed or is closed.
         RuntimeError
-            If the request failed.
+            If the worker cannot answer the request because of an unexpected error.
         """
         job = _Job(tab, kind, wanted, asyncio.get_running_loop().create_future())
         for old in [old for old in self._waiting if old.is_superseded_by(job)]:
@@ -109,14 +109,14 @@ class Dispatcher:
                 self._running = None
 
     async def _ask_with_retries(self, job: _Job) -> Answer:
-        """Send a job to the worker; repeat it with a new worker if that one was killed."""
+        """Send a job to the worker; repeat the job with a new worker if the worker was killed."""
         for left in reversed(range(_MAX_TRIES)):
             try:
                 return await asyncio.to_thread(self.worker.ask, job.kind, job.resolved_request)
             except WorkersLostError:
                 if not left:
                     raise WorkersLostError(
-                        f"the worker process was killed {_MAX_TRIES} times by this request"
+                        f"the worker process was killed {_MAX_TRIES} times during the request"
                     ) from None
         raise AssertionError
 

@@ -1,4 +1,4 @@
-"""Requests of the page: parse the JSON, check every value and convert it to records for the worker."""
+"""Parse the JSON requests of the page, check every value, and convert requests to records for the worker."""
 
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
@@ -11,6 +11,7 @@ from ..core.checks import (
     require_integer,
     require_seed,
 )
+from ..data.imaging.explore_table import load_page_settings
 from ..data.knees.field_definitions import load_field_specs
 from ..data.knees.oarsi_table import OarsiThresholds, load_oarsi_thresholds
 from ..data.table_records import MSGSPEC_LOCK, Record
@@ -20,39 +21,38 @@ from ..model.protocol import Protocol, protocol_from_dict
 from ..model.sampling.knee_sampling import sample_knee
 from .page_listing import MAX_SIDE_PX, knee_to_page_dict
 
-LOOKS = ("linear", "processed", "film")
 MESH_KINDS = ("stl", "ply", "glb", "3mf")
 RADIOGRAPH_KINDS = ("tif", "dcm", "presentation.dcm", "png", "json")
 TEXT_KINDS = ("knee.toml", "protocol.toml", "py")
 FILE_KINDS = (*RADIOGRAPH_KINDS, *MESH_KINDS, *TEXT_KINDS)
 RecordType = TypeVar("RecordType", bound=Record)
-# Allowed range of the largest side of a preview, in pixels.
+# Allowed range of the larger number of rows or columns of a preview.
 _SIDE_RANGE_PX = (32, MAX_SIDE_PX)
 
 
 class PageState(Record, frozen=True):
-    """State of the page, as it sends it.
+    """State of the page as received in a request.
 
     Attributes
     ----------
     tab : str
-        Name of the browser tab. Newer requests of a tab supersede its older ones.
+        Name of the browser tab. A newer request supersedes older requests of the same tab.
     knee : dict
-        Fields of the knee.
+        Values of knee fields, keyed by field name.
     protocol : dict
-        Fields of the protocol.
+        Values of protocol fields, keyed by field name.
     seed : int or str
-        Noise seed; text for integers that a browser would round.
+        Noise seed. Integers that a browser would round are text.
     processing : str
-        Display processing of the pixels: ``"linear"`` for none, or a processing for presentation.
+        Display processing of the pixels: ``"linear"`` for linear pixels, or the name of a display processing.
     side : int
-        Largest number of pixels per side, for a preview of the same field of view; 0 means full resolution.
+        Largest number of rows or columns of a preview with the same field of view; 0 means full resolution.
     kind : str
-        Kind of file for export.
+        File format for export.
     row : int
         Row of the pixel whose path lengths are requested.
     col : int
-        Column of that pixel.
+        Column of the pixel whose path lengths are requested.
     """
 
     tab: str
@@ -86,14 +86,14 @@ class SampleKneeRequest(Record, frozen=True):
 
 @dataclass(frozen=True, kw_only=True)
 class ResolvedRequest:
-    """Checked request for the worker.
+    """Validated request that the worker receives.
 
     Attributes
     ----------
     knee : Knee
         Parameters of the knee.
     protocol : Protocol
-        Protocol with the resolution of the request.
+        Protocol with the requested resolution.
     full_protocol : Protocol
         Protocol with full resolution.
     seed : int
@@ -101,7 +101,7 @@ class ResolvedRequest:
     processing : str
         Display processing of the pixels.
     kind : str
-        Kind of file for export; empty for none.
+        File format for export; empty if no file is requested.
     pixel : tuple of int
         Row and column of the pixel whose path lengths are requested.
     """
@@ -116,7 +116,7 @@ class ResolvedRequest:
 
 
 def parse_state(body: bytes) -> PageState:
-    """Parse the state of the page.
+    """Parse the state of the page from the body of a request.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def parse_state(body: bytes) -> PageState:
     Returns
     -------
     PageState
-        State of the page; knee and protocol are not checked yet.
+        State of the page. Knee and protocol are not validated yet.
 
     Raises
     ------
@@ -135,12 +135,12 @@ def parse_state(body: bytes) -> PageState:
     """
     state = _decode(body, PageState)
     if not 1 <= len(state.tab) <= 64:
-        raise InputError(f"tab must have 1 to 64 letters, got {state.tab[:70]!r}")
+        raise InputError(f"tab must have 1 to 64 characters, got {state.tab[:70]!r}")
     return state
 
 
 def resolve_state(state: PageState) -> ResolvedRequest:
-    """Check the state of the page and convert it to a request for the worker.
+    """Validate the state of the page and convert it to a request for the worker.
 
     Parameters
     ----------
@@ -150,14 +150,14 @@ def resolve_state(state: PageState) -> ResolvedRequest:
     Returns
     -------
     ResolvedRequest
-        Checked request.
+        Validated request.
 
     Raises
     ------
     InputError
         If a value is invalid. The message names the field, its value and what is allowed.
     """
-    require_choice("processing", state.processing, LOOKS)
+    require_choice("processing", state.processing, tuple(load_page_settings().processing))
     require_choice("kind", state.kind, ("", *FILE_KINDS))
     if state.side:
         require_integer("side", state.side, *_SIDE_RANGE_PX, "pixels")
@@ -168,7 +168,7 @@ def resolve_state(state: PageState) -> ResolvedRequest:
     protocol = protocol_from_dict(state.protocol, "protocol")
     if protocol.knee_distance_mm:
         raise InputError(
-            f"knee_distance_mm must be 0 mm on the page, got {protocol.knee_distance_mm:g} mm: it shows one knee"
+            f"knee_distance_mm must be 0 mm on the page, got {protocol.knee_distance_mm:g} mm: the page shows one knee"
         )
     for name in ("rows", "cols"):
         require_integer(f"{name} of the page", getattr(protocol, name), 1, MAX_SIDE_PX, "pixels")
@@ -184,7 +184,7 @@ def resolve_state(state: PageState) -> ResolvedRequest:
 
 
 def _resolve_page_knee(fields: dict[str, Any], cuts: OarsiThresholds) -> Knee:
-    """Build the knee of the page; a grade that contradicts the anatomy is dropped and derived from it."""
+    """Build the knee of the page; a grade that contradicts the anatomy is replaced by the grade of the anatomy."""
     anatomy = knee_from_dict({**fields, "grade": None, "grade_table": None})
     low, high = allowed_grades(anatomy, cuts)
     grade = fields.get("grade")
@@ -210,8 +210,8 @@ def coarsen_protocol(protocol: Protocol, max_side_px: int) -> Protocol:
 
     Notes
     -----
-    A preview replaces the Monte Carlo scatter simulation by the scatter kernel and a sampled focal spot by blur. Both
-    take long and hardly change the appearance.
+    A preview uses the scatter kernel instead of a Monte Carlo scatter simulation, and blur instead of a sampled focal
+    spot. The replaced methods take long and change the appearance little.
     """
     step = max(protocol.rows, protocol.cols) / max_side_px if max_side_px else 0.0
     if step <= 1:
@@ -223,7 +223,7 @@ def coarsen_protocol(protocol: Protocol, max_side_px: int) -> Protocol:
 
 
 def sample_page_knee(body: bytes) -> dict[str, Any]:
-    """Sample a knee by grade and seed, in the form that the page holds.
+    """Sample a knee by grade and seed, with field values for the page.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ def sample_page_knee(body: bytes) -> dict[str, Any]:
     Returns
     -------
     dict
-        Value of each field of the knee.
+        Values of the knee fields, keyed by field name.
 
     Raises
     ------
@@ -243,23 +243,26 @@ def sample_page_knee(body: bytes) -> dict[str, Any]:
     from ..data.knees.grade_tables import list_grade_tables
 
     asked = _decode(body, SampleKneeRequest)
-    # Allow only tables of the package, because a path would be read from the disk.
+    # Only tables of the package are allowed, because a path would let the page read files from the disk.
     require_choice("grade_table", asked.grade_table, list_grade_tables())
     require_seed(asked.seed)
     return knee_to_page_dict(sample_knee(grade=asked.grade, rng=asked.seed, grade_table=asked.grade_table))
 
 
 def _decode(body: bytes, kind: type[RecordType]) -> RecordType:
-    """Decode JSON to a record."""
+    """Decode a JSON request to a record."""
     try:
         with MSGSPEC_LOCK:
             return msgspec.json.decode(body, type=kind)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         why = f"{len(body)} bytes: {str(error)[:200]}"
-        raise InputError(f"request must be JSON as the page sends it, got {why}") from None
+        raise InputError(f"request must be JSON with the fields that the page sends, got {why}") from None
 
 
 def _parse_whole_number(value: Any) -> Any:
-    """Convert text of digits, as a browser holds large integers, to an integer; return anything else unchanged."""
+    """Convert a text of digits to an integer; return any other value unchanged.
+
+    The page sends large integers as text.
+    """
     digits = isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 19
     return int(value) if digits else value

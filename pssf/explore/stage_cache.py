@@ -1,7 +1,7 @@
-"""Cache of knees, path lengths and images, so that a stage runs again only if its inputs have changed.
+"""Cache of knees, path lengths and images; a stage runs again only if its inputs have changed.
 
-Knees are cached by parameters and posture, path lengths by knee and view. For each path, the image after every stage
-is kept. A request continues from the last image that no changed field affects.
+Knees are cached by parameters and posture, and path lengths by knee and view. For each view, the image after every
+stage is cached. A request continues from the last cached image that the changed fields do not affect.
 """
 
 import copy
@@ -26,13 +26,13 @@ from ..stages import (
 )
 from ..xray.resolved_technique import Technique, resolve_technique
 
-# Ray-casting engine. The Python code on the page names it and therefore reproduces the same bytes.
+# Ray-casting engine. The Python code on the page specifies the same engine, so it reproduces the same bytes.
 ENGINE = "scanline"
 # Largest number of cached knees.
 _KNEES = 6
-# Largest total number of pixels of cached views. The newest view is kept whatever its size.
+# Largest total number of pixels of cached views. The newest view is always kept.
 _MOST_PIXELS = 10_000_000
-# Name of the first stage that reads a field. Every other field counts as read by the first stage.
+# Name of the first stage that reads each protocol field. Fields that are not listed affect all stages.
 _FIRST_STAGE_BY_FIELD = {
     "name": "readout",
     "scatter": "scatter",
@@ -44,22 +44,22 @@ _FIRST_STAGE_BY_FIELD = {
     "detector_blur": "detector blur",
     "dead_pixels": "readout",
 }
-# The image is not kept after these stages. They take little time, and each copy needs memory.
+# Stages whose images are not cached, because the stages take little time and each copy needs memory.
 _UNCACHED_STAGES = ("detector blur", "readout")
 
 
 @dataclass
 class CachedPaths:
-    """Path lengths of a knee in one view, with the images of its last request.
+    """Path lengths of a knee in one view, with the images of the last request for the view.
 
     Attributes
     ----------
     paths : Paths
-        Path lengths.
+        Path lengths of all pixels.
     truth : Truth or None
-        Labels of the view; None until they are requested.
+        Labels of the view; None until labels are requested.
     protocol : Protocol or None
-        Protocol of the images.
+        Protocol of the images; None before the first request.
     seed : int
         Noise seed of the images.
     images : list of LatentImage
@@ -75,12 +75,12 @@ class CachedPaths:
 
 @dataclass(kw_only=True)
 class SimulatedImage:
-    """Result of a request.
+    """Result of a radiograph request.
 
     Attributes
     ----------
     built : BuiltKnee
-        Knee with its surfaces.
+        Built knee with its surfaces.
     cached_paths : CachedPaths
         Path lengths of the view.
     technique : Technique
@@ -88,9 +88,9 @@ class SimulatedImage:
     image : LatentImage
         Image after the last stage.
     rays_traced : int
-        Number of rays cast for this request; 0 if the path lengths were cached.
+        Number of rays cast for the request; 0 if the path lengths were cached.
     seconds : dict of str to float
-        Time of each stage, in s.
+        Time of each stage, in s, keyed by stage name.
     """
 
     built: BuiltKnee
@@ -119,7 +119,7 @@ class StageCache:
     Parameters
     ----------
     step : callable, optional
-        Function that is called before each stage. It raises an error to cancel the work.
+        Function that is called before each stage, and raises an error to cancel the request.
     workers : int, default 2
         Number of threads.
     """
@@ -142,7 +142,7 @@ class StageCache:
         Returns
         -------
         BuiltKnee
-            Knee with its surfaces.
+            Built knee with its surfaces.
 
         Raises
         ------
@@ -178,7 +178,7 @@ class StageCache:
         return None if traced is None else traced.paths
 
     def simulate_image(self, knee: Knee, protocol: Protocol, seed: int) -> SimulatedImage:
-        """Simulate a radiograph of a knee with the cached stages.
+        """Simulate a radiograph of a knee, and reuse cached stages.
 
         Parameters
         ----------
@@ -197,7 +197,7 @@ class StageCache:
         Raises
         ------
         InputError
-            If `simulate` would raise it. Errors raised by `step` are passed on.
+            If `pssf.simulate` raises an InputError. Errors of `step` are passed on.
         """
         clock = Timer()
         built = self.build_knee(knee, protocol)
@@ -211,7 +211,7 @@ class StageCache:
         )
 
     def _trace_paths(self, built: BuiltKnee, protocol: Protocol) -> tuple[CachedPaths, int]:
-        """Return the path lengths of a knee and the number of rays cast for them in this call."""
+        """Return the path lengths of a knee, and the number of rays cast; 0 if the path lengths are cached."""
         key, rays = _view_key(built, protocol), 0
         if key not in self._traced:
             self._step()
@@ -226,12 +226,12 @@ class StageCache:
     def _run_stages(
         self, built: BuiltKnee, traced: CachedPaths, technique: Technique, seed: int, clock: Timer
     ) -> LatentImage:
-        """Run the stages whose inputs have changed and cache their images."""
+        """Run the stages whose inputs have changed, and cache their images."""
         chain = StageContext(technique=technique, engine=ENGINE, seed=seed, workers=self._workers)
         protocol, stages = technique.protocol, select_stages(technique.protocol)
         done = _count_valid_stages(traced, protocol, seed, stages)
         kept = traced.images[:done]
-        # Remove outdated images before the work, because it may be cancelled half way.
+        # Outdated images are removed first, because the request may be cancelled before all stages have run.
         traced.images, traced.protocol, traced.seed = kept, protocol, seed
         image = _copy_image(kept[-1]) if kept else LatentImage(path_mm=traced.paths.path_mm, scene=built.scene)
         for stage in stages[len(kept) :]:
@@ -272,9 +272,9 @@ def _count_valid_stages(traced: CachedPaths, protocol: Protocol, seed: int, stag
 
 
 def _first_stage_index(name: str, stages: list[Stage]) -> int:
-    """Return the index of a stage, or of the next one that is present; 0 if there is none.
+    """Return the index of a stage, or of the first later stage in `stages`; 0 if `stages` has none of them.
 
-    With 0, a field that no stage seems to read still runs all stages again.
+    An index of 0 runs all stages again.
     """
     names = [stage.name for stage in stages]
     order = [stage.name for stage in STAGES]
@@ -283,7 +283,7 @@ def _first_stage_index(name: str, stages: list[Stage]) -> int:
 
 
 def _copy_image(image: LatentImage) -> LatentImage:
-    """Copy an image, including the two maps that later stages change in place."""
+    """Copy an image, including the maps `frequencies` and `noisy`, which later stages change in place."""
     kept: Any = copy.copy(image)
     kept.kept = dict(image.kept)
     for name in ("frequencies", "noisy"):

@@ -1,4 +1,4 @@
-"""Relative densities that vary within a material, which rays integrate in place of a path length."""
+"""Relative densities that vary within a material; ray casting integrates them to a density-weighted path length."""
 
 import math
 import reprlib
@@ -16,9 +16,9 @@ Vectors = tuple[tuple[float, float, float], ...]
 
 @runtime_checkable
 class Density(Protocol):
-    """Relative density as a function of position; 1 is the density of the material itself.
+    """Relative density as a function of position; 1 is the tabulated density of the material.
 
-    Any object with this method can serve as the density of a `Surface`.
+    Any object with an `integrate` method can serve as the density of a `Surface`.
     """
 
     def integrate(self, starts_mm: Array, ends_mm: Array) -> Array:
@@ -66,7 +66,7 @@ def integrate_along_segments(density: Density, starts_mm: Array, ends_mm: Array)
     what = f"{type(density).__name__}.integrate"
     try:
         values = np.asarray(integrals)
-    except ValueError:  # Nested lists have unequal lengths.
+    except ValueError:  # Nested lists of unequal lengths are not an array.
         values = np.empty(0, object)
     if values.dtype.kind not in "fiu" or values.shape != (len(starts_mm),):
         kind = f"{values.dtype} of shape {values.shape}" if values.ndim else reprlib.repr(integrals)
@@ -89,7 +89,7 @@ def _format_point(point_mm: Array) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class TranslatedDensity:
-    """Density that has moved together with its solid.
+    """Density that is translated together with its solid.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ class PlaneWaves:
     Raises
     ------
     InputError
-        If the numbers of amplitudes, waves and phases differ, or if a number is not finite.
+        If the lengths of amplitudes, waves and phases differ, or if a number is not finite.
     """
 
     mean: float = 1.0
@@ -152,7 +152,7 @@ class PlaneWaves:
     def __post_init__(self) -> None:
         counts = len(self.amplitudes), len(self.waves_per_mm), len(self.phases)
         if len(set(counts)) > 1:
-            raise InputError(f"plane waves: amplitudes, waves and phases must be equally many, got {counts}")
+            raise InputError(f"plane waves: amplitudes, waves and phases must have equal lengths, got {counts}")
         for wave in self.waves_per_mm:
             if len(wave) != 3:
                 raise InputError(
@@ -194,8 +194,9 @@ def _sum_waves(
         total = mean
         for n in range(len(amplitudes)):
             u, v, w = waves[n]
-            # The mean of a cosine along a segment is its value at the centre times sinc of half the phase change.
-            # The difference of two sines over k.d would lose precision for waves perpendicular to the ray.
+            # The mean of a cosine along a segment is the cosine at its centre times sinc of half the phase change. The
+            # alternative, a difference of sines divided by the phase change, loses precision for waves perpendicular to
+            # the ray.
             half = (u * x + v * y + w * z) / 2
             middle = u * starts[k, 0] + v * starts[k, 1] + w * starts[k, 2] + half + phases[n]
             sinc = math.sin(half) / half if abs(half) > 1e-4 else 1.0 - half * half / 6

@@ -17,16 +17,16 @@ from ..core.checks import (
 )
 from ..core.numba_kernel import kernel
 
-# Number of control points that are added around the lattice. A cubic B-spline extends two pitches from its control
+# Number of control points added on each side of the lattice. A cubic B-spline extends two pitches from its control
 # point.
 _PAD_POINTS = 3
-# Number of samples of the Jacobian along each edge of a cell, including both ends.
+# Number of samples of the Jacobian along each axis of a cell, including both ends.
 _SAMPLES_PER_CELL_EDGE = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lattice:
-    """Control points on a regular grid with the displacement of each.
+    """Regular grid of control points with their displacements.
 
     Parameters
     ----------
@@ -37,13 +37,14 @@ class Lattice:
     displacements_mm : (nx, ny, nz, 3) float64 array
         Displacement of each control point, in mm.
     shaft_sign : int, default 0
-        +1 continues the displacements of the last layer above the lattice, as along a shaft. -1 continues those of the
-        first layer below it. 0 does neither. On all other sides the displacement falls to zero within two pitches.
+        +1 continues the displacements of the last layer above the lattice, for example along a shaft. -1 continues the
+        displacements of the first layer below the lattice. 0 continues neither. On all other sides the displacement
+        falls to zero within two pitches.
 
     Raises
     ------
     InputError
-        If an array has another shape or holds values that are not finite, or if a number is out of range.
+        If an array has the wrong shape or contains values that are not finite, or if a number is out of range.
     """
 
     origin_mm: Array
@@ -72,7 +73,7 @@ class Lattice:
 
 
 def displace_points(points_mm: Array, lattice: Lattice) -> Array:
-    """Displace points by a lattice.
+    """Displace points by the deformation that a lattice defines.
 
     Parameters
     ----------
@@ -120,14 +121,14 @@ def invert_displacement(points_mm: Array, lattice: Lattice, iterations: int = 30
 
 
 def replace_displacements(lattice: Lattice, displacements_mm: Array) -> Lattice:
-    """Make the same lattice with other displacements.
+    """Make a copy of a lattice with other displacements.
 
     Parameters
     ----------
     lattice : Lattice
         Lattice whose grid is kept.
     displacements_mm : (nx, ny, nz, 3) float64 array
-        New displacements, in mm. A flat array of the same size and order is accepted.
+        New displacements, in mm. A flat array with the same number of values in the same order is also accepted.
 
     Returns
     -------
@@ -169,7 +170,7 @@ def basis_matrix(points_mm: Array, lattice: Lattice) -> sparse.csr_array:
 
 
 def min_jacobian_determinant(lattice: Lattice) -> float:
-    """Compute the least Jacobian determinant of a deformation; above 0 the deformation does not fold.
+    """Compute the minimum Jacobian determinant of a deformation; if it is positive, the deformation does not fold.
 
     Parameters
     ----------
@@ -179,7 +180,7 @@ def min_jacobian_determinant(lattice: Lattice) -> float:
     Returns
     -------
     float
-        Least determinant, dimensionless, at four samples along each edge of every cell.
+        Minimum determinant, dimensionless, over a grid of 4 x 4 x 4 samples in every cell.
     """
     padded = _pad_displacements(lattice)
     values, slopes = zip(*(_axis_basis(n) for n in padded.shape[:3]), strict=True)
@@ -195,7 +196,7 @@ def min_jacobian_determinant(lattice: Lattice) -> float:
 
 
 def _axis_basis(count: int) -> tuple[Array, Array]:
-    """Return the weights (samples, count) of the control points along an axis, and their slopes per pitch."""
+    """Return the weights (samples, count) of the control points along an axis, and their derivatives per pitch."""
     cells = count - 3
     places = np.linspace(0, cells, cells * (_SAMPLES_PER_CELL_EDGE - 1) + 1)
     cell = np.minimum(places.astype(np.int64), cells - 1)
@@ -210,14 +211,14 @@ def _axis_basis(count: int) -> tuple[Array, Array]:
 
 
 def _pad_displacements(lattice: Lattice) -> Array:
-    """Pad the displacements by the control points outside the lattice that influence points."""
+    """Pad the displacements with control points around the lattice: zeros, or copies along the shaft."""
     around = np.pad(lattice.displacements_mm, ((_PAD_POINTS, _PAD_POINTS),) * 3 + ((0, 0),)).astype(np.float64)
     _extend_along_shaft(around, lattice.shaft_sign)
     return around
 
 
 def _extend_along_shaft(padded: np.ndarray, shaft: int) -> None:
-    """Copy the end layer of the lattice into the padding on the side of the shaft, in place."""
+    """Copy the end layer of the lattice into the padding at the shaft end, in place."""
     if shaft > 0:
         padded[:, :, -_PAD_POINTS:] = padded[:, :, -_PAD_POINTS - 1, None]
     if shaft < 0:
@@ -228,7 +229,7 @@ def _extend_along_shaft(padded: np.ndarray, shaft: int) -> None:
 def _bspline_weights(t):  # type: ignore[no-untyped-def]
     """Return the uniform cubic B-spline weights of the four nearest control points.
 
-    `t` (0 to 1) is the position beyond the second of them, in pitches.
+    `t` (0 to 1) is the distance from the second control point, in pitches.
     """
     s = 1 - t
     return s**3 / 6, (3 * t**3 - 6 * t**2 + 4) / 6, (3 * s**3 - 6 * s**2 + 4) / 6, t**3 / 6
@@ -245,7 +246,8 @@ def _apply_displacements(points, origin, pitch, padded):  # type: ignore[no-unty
             # Beyond the padding the displacement is constant.
             cell = min(max(np.floor(scaled), -2.0), padded.shape[axis] - 6.0)
             start[axis] = int(cell) + 2
-            # Assign the weights one by one, because numba needs seconds to compile a tuple assignment to a row.
+            # The weights are assigned one by one, because numba takes seconds to compile the assignment of a tuple to a
+            # row.
             a, b, c, d = _bspline_weights(min(max(scaled - cell, 0.0), 1.0))
             weight[axis, 0], weight[axis, 1], weight[axis, 2], weight[axis, 3] = a, b, c, d
         first, second, third = start[0], start[1], start[2]

@@ -55,7 +55,7 @@ def is_mesh(thing: Any) -> bool:
     bool
         True for a mesh of either type.
     """
-    # A trimesh object can exist only if trimesh is imported, so do not import it here.
+    # A trimesh object can exist only if trimesh is already imported, so this function does not import it.
     loaded = sys.modules.get("trimesh")
     return isinstance(thing, Mesh) or (loaded is not None and isinstance(thing, loaded.Trimesh))
 
@@ -65,7 +65,7 @@ class MeshField:
 
     def __get__(self, holder: Any, owner: Any = None) -> "trimesh.Trimesh":
         if holder is None:
-            raise AttributeError("mesh")  # The dataclass then treats the field as one without a default.
+            raise AttributeError("mesh")  # The dataclass then treats the field as a field without a default.
         if isinstance(holder.__dict__["_mesh"], Mesh):
             holder.__dict__["_mesh"] = holder.__dict__["_mesh"].as_trimesh()
         mesh: trimesh.Trimesh = holder.__dict__["_mesh"]
@@ -76,12 +76,12 @@ class MeshField:
 
     @staticmethod
     def mesh_arrays(holder: Any) -> Mesh:
-        """Return the mesh of a holder as arrays, without importing trimesh.
+        """Return the mesh of a dataclass instance as arrays, without importing trimesh.
 
         Parameters
         ----------
         holder : object
-            Instance of the dataclass with the field.
+            Instance of a dataclass with a `MeshField`.
 
         Returns
         -------

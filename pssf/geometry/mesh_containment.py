@@ -1,9 +1,9 @@
-"""Tests for closed meshes that contain each other or are disjoint, without Boolean operations.
+"""Tests whether one closed mesh contains another, or whether two are disjoint, without Boolean operations.
 
-Faces are sorted into the cells of a grid. Two faces in the same cell are compared by separating axes (Gottschalk, Lin
-and Manocha 1996). Faces that no axis separates count as intersecting. If no faces intersect, each body is entirely
-inside or outside the other mesh. The solid angle of that mesh at one vertex of the body decides which (van Oosterom
-and Strackee 1983).
+Faces are sorted into the cells of a grid. Two faces in the same cell are tested for separating axes (Gottschalk, Lin
+and Manocha 1996). Faces without a separating axis count as intersecting. If no faces intersect, each connected
+component is entirely inside or outside the other mesh. This is decided by the solid angle of the other mesh at one
+vertex of the component (van Oosterom and Strackee 1983).
 """
 
 import math
@@ -17,19 +17,19 @@ from ..core.numba_kernel import kernel, kernel_helper
 from .mesh import Mesh
 from .mesh_topology import label_bodies
 
-# Edge of a grid cell relative to the mean extent of a face.
+# Edge length of a grid cell relative to the mean extent of a face.
 _SIDE = 2.5
 # Largest number of cells along an axis.
 _MOST_CELLS = 128
-# Faces closer than this count as intersecting, in mm.
+# Distance below which two faces count as intersecting, in mm.
 _CONTACT_DISTANCE_MM = 1e-9
 
 
 class _Faces(NamedTuple):
     """Faces of a mesh, in mm.
 
-    `corners` (n, 3, 3) are the corners of each face. `boxes` (n, 2, 3) are their lowest and highest coordinates.
-    `planes` (n, 4) are the unit normals and the offsets of the planes along them.
+    `corners` (n, 3, 3) are the corners of each face. `boxes` (n, 2, 3) are the bounding boxes of the faces. `planes`
+    (n, 4) are the unit normals of the faces and the distances of the face planes from the origin.
     """
 
     corners: Array
@@ -38,7 +38,7 @@ class _Faces(NamedTuple):
 
 
 class _Grid(NamedTuple):
-    """Faces of a mesh by grid cell.
+    """Faces of a mesh, sorted into the cells of a grid.
 
     The faces of cell k are ``order[starts[k]:starts[k + 1]]``; the cell index varies fastest along x.
     """
@@ -52,19 +52,19 @@ class _Grid(NamedTuple):
 
 
 def is_mesh_within(inner: Mesh, outer: Mesh) -> bool:
-    """Report whether a closed mesh is entirely inside another one.
+    """Report whether a closed mesh is entirely inside another closed mesh.
 
     Parameters
     ----------
     inner : Mesh
-        Closed mesh, wound outward, with one body or several, in mm.
+        Closed mesh with outward faces and one or more connected components, in mm.
     outer : Mesh
-        Closed mesh, wound outward, with one body or several, in mm.
+        Closed mesh with outward faces and one or more connected components, in mm.
 
     Returns
     -------
     bool
-        True if all of `inner` is inside `outer` and their faces do not touch within 1e-9 mm.
+        True if `inner` is completely inside `outer` and their faces do not touch within 1e-9 mm.
     """
     one, other = (_prepare_faces(np.asarray(mesh.vertices, np.float64), mesh.faces) for mesh in (inner, outer))
     low, high = other.boxes[:, 0].min(axis=0), other.boxes[:, 1].max(axis=0)
@@ -83,14 +83,14 @@ def are_meshes_disjoint(one: Mesh, other: Mesh) -> bool:
     Parameters
     ----------
     one : Mesh
-        Closed mesh, wound outward, with one body or several, in mm.
+        Closed mesh with outward faces and one or more connected components, in mm.
     other : Mesh
-        Closed mesh, wound outward, with one body or several, in mm.
+        Closed mesh with outward faces and one or more connected components, in mm.
 
     Returns
     -------
     bool
-        True if no body is inside the other mesh and their faces do not touch within 1e-9 mm.
+        True if no component is inside the other mesh and the faces of the two meshes do not touch within 1e-9 mm.
     """
     first, second = (_prepare_faces(np.asarray(mesh.vertices, np.float64), mesh.faces) for mesh in (one, other))
     if _has_intersecting_faces(first, _build_grid(second)):
@@ -115,7 +115,7 @@ def _build_grid(mesh: _Faces) -> _Grid:
 
 
 def _pick_body_vertices(mesh: Mesh) -> Array:
-    """Return one vertex of each connected body of a mesh (bodies, 3), in mm."""
+    """Return one vertex of each connected component of a mesh (components, 3), in mm."""
     faces = np.ascontiguousarray(mesh.faces, np.int32)
     body, count = label_bodies(faces, len(mesh.vertices))
     first = np.full(count, -1)
@@ -140,7 +140,7 @@ def _prepare_faces(vertices: Array, faces: NDArray[np.integer]) -> _Faces:
         ux, uy, uz = face[1, 0] - face[0, 0], face[1, 1] - face[0, 1], face[1, 2] - face[0, 2]
         vx, vy, vz = face[2, 0] - face[0, 0], face[2, 1] - face[0, 1], face[2, 2] - face[0, 2]
         x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        # A face without area has no normal. A zero normal never separates two faces.
+        # A face without area has no normal; it gets a zero normal, which never separates two faces.
         length = math.sqrt(x * x + y * y + z * z)
         share = 1.0 / length if length > 0.0 else 0.0
         x, y, z = x * share, y * share, z * share
@@ -151,9 +151,9 @@ def _prepare_faces(vertices: Array, faces: NDArray[np.integer]) -> _Faces:
 
 @kernel_helper()
 def _cell_range(low: float, high: float, origin: float, side: float, count: int) -> tuple[int, int]:
-    """Return the first and last of `count` cells along an axis that an interval overlaps, in mm.
+    """Return the first and the last cell that an interval in mm overlaps, for `count` cells along an axis.
 
-    The last cell is below the first if there is none.
+    If no cell overlaps, the last index is less than the first.
     """
     first, last = int((low - origin - _CONTACT_DISTANCE_MM) / side), int((high - origin + _CONTACT_DISTANCE_MM) / side)
     return max(first, 0), min(last, count - 1)
@@ -161,7 +161,7 @@ def _cell_range(low: float, high: float, origin: float, side: float, count: int)
 
 @kernel()
 def _fill_grid(grid: _Grid) -> None:
-    """Count the faces of each cell in `starts`; if `order` has room for them, write them to it."""
+    """Count the faces of each cell in `starts`; if `order` is not empty, also write the face indices to `order`."""
     counts, starts, boxes = grid.counts, grid.starts, grid.mesh.boxes
     for k in range(len(boxes)):
         x, x_last = _cell_range(boxes[k, 0, 0], boxes[k, 1, 0], grid.low[0], grid.side_mm, counts[0])
@@ -183,7 +183,7 @@ def _fill_grid(grid: _Grid) -> None:
 
 @kernel()
 def _has_intersecting_faces(faces: _Faces, grid: _Grid) -> bool:
-    """Report whether any face intersects a face of the grid."""
+    """Report whether any of the faces intersects a face in the grid."""
     counts, boxes, around = grid.counts, faces.boxes, grid.mesh.boxes
     for k in range(len(boxes)):
         x, x_last = _cell_range(boxes[k, 0, 0], boxes[k, 1, 0], grid.low[0], grid.side_mm, counts[0])
@@ -230,7 +230,7 @@ def _is_on_one_side(face: Array, plane: Array) -> bool:
 
 @kernel_helper()
 def _is_face_pair_intersecting(one: Array, other: Array) -> bool:
-    """Report whether no cross product of two edges separates two faces (3, 3)."""
+    """Report whether two faces (3, 3) intersect: no cross product of two edges is a separating axis."""
     for i in range(3):
         j = (i + 1) % 3
         ux, uy, uz = one[j, 0] - one[i, 0], one[j, 1] - one[i, 1], one[j, 2] - one[i, 2]
@@ -244,7 +244,7 @@ def _is_face_pair_intersecting(one: Array, other: Array) -> bool:
 
 @kernel_helper()
 def _is_separated_along(one: Array, other: Array, x: float, y: float, z: float) -> bool:
-    """Report whether an axis of any length separates two faces (3, 3); an axis of length 0 never does."""
+    """Report whether an axis (x, y, z) separates two faces (3, 3); a zero vector never separates them."""
     a, b, c = (
         one[0, 0] * x + one[0, 1] * y + one[0, 2] * z,
         one[1, 0] * x + one[1, 1] * y + one[1, 2] * z,

@@ -1,4 +1,4 @@
-"""Cut of a closed mesh at a height, such as a bone at its shaft."""
+"""Cut a closed mesh at a given height, for example a bone at its shaft."""
 
 import numpy as np
 
@@ -7,12 +7,12 @@ from .mesh import Indices, Mesh
 
 
 def cut_mesh_at_height(mesh: Mesh, direction: int, height_mm: float) -> Mesh:
-    """Keep the part of a closed mesh below or above a height and close the cut with a triangle fan.
+    """Keep the part of a closed mesh below or above a given height, and close the cut with a triangle fan.
 
     Parameters
     ----------
     mesh : Mesh
-        Closed mesh, in mm. Its section must be a single outline that is entirely visible from its centre, as for a
+        Closed mesh, in mm. The cross-section must be a single outline that is star-shaped about its centre, as for a
         shaft.
     direction : int
         +1 keeps the part below the height, -1 the part above it.
@@ -22,14 +22,16 @@ def cut_mesh_at_height(mesh: Mesh, direction: int, height_mm: float) -> Mesh:
     Returns
     -------
     Mesh
-        Closed mesh, or the same mesh if it does not reach the height.
+        Closed mesh; the input mesh if it does not reach the height.
     """
+    # Manifold.trim_by_plane is not used, because it takes 79 ms instead of 6 ms and changes vertices and faces.
     within = direction * mesh.vertices[:, 2] <= direction * height_mm
     count = within[mesh.faces].sum(axis=1)
     crossed = (count == 1) | (count == 2)
     if not crossed.any():
         return mesh
-    # Rotate the corners of each cut face so that the first one is alone on its side.
+    # The corners of each cut face are rotated, so that the first corner is the only one on its side of the cutting
+    # plane.
     cut = mesh.faces[crossed]
     first = (within[cut] == (count[crossed] == 1)[:, None]).argmax(axis=1)
     one, two, three = np.take_along_axis(cut, (first[:, None] + np.arange(3)) % 3, axis=1).T
@@ -51,9 +53,9 @@ def cut_mesh_at_height(mesh: Mesh, direction: int, height_mm: float) -> Mesh:
 def _add_crossing_vertices(
     vertices: Array, one: Indices, two: Indices, three: Indices, height_mm: float
 ) -> tuple[Array, Indices, Indices]:
-    """Append the vertices where the sides one-two and three-one of faces cross a height.
+    """Append vertices where the face edges one-two and three-one cross the given height.
 
-    Returns the vertices and the indices (n,) of the crossings on both sides.
+    Returns all vertices, and the indices (n,) of the new vertices on each of the two edges.
     """
     sides = np.sort(np.concatenate((np.column_stack((one, two)), np.column_stack((three, one)))), axis=1)
     key, number = np.unique(sides @ [len(vertices), 1], return_inverse=True)

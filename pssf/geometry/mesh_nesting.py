@@ -1,9 +1,9 @@
-"""Nesting of the bodies of a mesh, which distinguishes a cavity from a body that is inside out.
+"""Nesting of the connected components (bodies) of a mesh, to distinguish cavities from bodies that are inside out.
 
-Sample lines pass through faces of the bodies in question. Their direction is parallel to no wall of a common shape.
-Intersections are computed in float64 with a half-open edge rule. Every line therefore leaves a closed body as often as
-it enters it. The surrounding bodies are determined slightly inside the surface of each body. Neither a wall shared by
-two bodies nor rounding on it affects the result.
+Sample lines pass through faces of the tested bodies. The oblique direction of the lines avoids faces parallel to them.
+Intersections are computed in float64 with a half-open edge rule, so every line leaves a closed body as often as it
+enters the body. The surrounding bodies are determined slightly inside the surface of each body. Faces shared by two
+bodies and rounding errors at such faces therefore do not affect the result.
 """
 
 from typing import NamedTuple
@@ -15,16 +15,16 @@ from ..core.checks import Array
 from ..core.numba_kernel import kernel, kernel_helper
 from .mesh_topology import Faces
 
-# Unit vector along the sample lines. Its components are uneven to avoid walls parallel to the lines.
+# Unit vector along the sample lines. The irregular components avoid faces parallel to the lines.
 _LINE_DIRECTION = np.array([0.327, 0.598, 0.7317]) / np.sqrt(0.327**2 + 0.598**2 + 0.7317**2)
-# Horizontal unit vector perpendicular to the lines.
+# Horizontal unit vector perpendicular to the sample lines.
 _LINE_NORMAL = np.array([_LINE_DIRECTION[1], -_LINE_DIRECTION[0], 0.0]) / np.sqrt(
     _LINE_DIRECTION[0] ** 2 + _LINE_DIRECTION[1] ** 2
 )
-# Axes u, v and t as columns; t is along the lines.
+# Matrix with the axes u, v and t as columns; t is along the sample lines.
 _LINE_AXES = np.column_stack((_LINE_NORMAL, np.cross(_LINE_DIRECTION, _LINE_NORMAL), _LINE_DIRECTION))
 
-# Number of lines per body, evenly distributed over its surface.
+# Number of sample lines per body, evenly distributed over its projected area.
 _LINES_PER_BODY = 24
 # Depth below the surface at which the surrounding bodies are determined, as a fraction of the chord through the body.
 _PROBE_DEPTH_FRACTION = 1e-3
@@ -38,8 +38,8 @@ class _Lines(NamedTuple):
     """Sample lines through faces of bodies, sorted into slabs along u and by v within a slab.
 
     `positions_uv` (k, 2) are u and v of each line. `slabs` (s + 1,) are the indices at which slabs start. `body` (k,)
-    is the body of the face. `line_t` (k,) is t of the face on the line. `inward_sign` (k,) is +1 if the body lies
-    towards increasing t, else -1. `weight` (k,) is the amount of surface that the line represents.
+    is the body of the sampled face. `line_t` (k,) is t of the sampled face on the line. `inward_sign` (k,) is +1 if the
+    interior of the body is towards increasing t, else -1. `weight` (k,) is the surface area that the line represents.
     """
 
     positions_uv: Array
@@ -53,8 +53,8 @@ class _Lines(NamedTuple):
 class _Hits(NamedTuple):
     """Intersections of lines with faces, line by line.
 
-    `line_t` (n,) is t of the intersection and `face` (n,) the index of the face. `sign` (n,) is +1 where the line
-    leaves through the face and -1 where it enters.
+    `line_t` (n,) is t of the intersection, and `face` (n,) is the index of the face. `sign` (n,) is +1 where the line
+    leaves a body through the face, and -1 where it enters.
     """
 
     line_t: Array
@@ -65,20 +65,20 @@ class _Hits(NamedTuple):
 def find_inside_out_bodies(points: Array, faces: Faces, body: NDArray[np.int32], volumes: Array) -> NDArray[np.int64]:
     """Find the bodies of a mesh that are inside out, together with their cavities.
 
-    A body wound inwards is a cavity if another body surrounds it; otherwise it is inside out. A body that crosses the
-    wall of another one is ambiguous and stays as it is. The part outside the wall then has negative path lengths, which
-    `trace` reports as an error.
+    A body with inward faces is a cavity if another body surrounds it; otherwise it is inside out. A body that crosses
+    the surface of another body is ambiguous and is not flipped. Its part outside the other body then has negative path
+    lengths, which `trace` reports as an error.
 
     Parameters
     ----------
     points : (n, 3) float64 array, any unit
-        Vertices, scaled to moderate numbers.
+        Vertices, scaled so that the size of the mesh is near 1.
     faces : (m, 3) int32 array
         Vertex indices of each face.
     body : (n,) int32 array
         Index of the body of each vertex.
     volumes : (k,) float64 array, mm3
-        Signed volume of each body; negative if it is wound inwards. Only the sign is used.
+        Signed volume of each body; negative if its faces point inward. Only the sign is used.
 
     Returns
     -------
@@ -90,7 +90,7 @@ def find_inside_out_bodies(points: Array, faces: Faces, body: NDArray[np.int32],
     while len(inverted):
         surrounded, below = _surrounded_fractions(seen, faces, body, side, inverted)
         no_cavity = surrounded < _MIN_CAVITY_FRACTION
-        # A body within one that must be flipped is judged after that flip.
+        # A body inside a body that must be flipped is tested again after the flip.
         now = inverted[no_cavity & (below < 0.5)]
         if not len(now):
             break
@@ -129,10 +129,10 @@ def flip_bodies(faces: Faces, body: NDArray[np.int32], chosen: NDArray[np.int64]
 def _surrounded_fractions(
     rotated: Array, faces: Faces, body: NDArray[np.int32], orientation: Array, chosen: NDArray[np.int64]
 ) -> tuple[Array, Array]:
-    """Measure how much of the surface of each chosen body other bodies surround.
+    """Measure the fraction of the surface of each chosen body that is surrounded by other bodies.
 
-    Returns two arrays (k,): the fraction with a winding number of at least 1 just below the surface, and the fraction
-    with a negative one.
+    Returns two arrays (k,): the fraction where the winding number of the other bodies just below the surface is at
+    least 1, and the fraction where it is negative.
     """
     if not len(chosen):
         return np.empty(0), np.empty(0)
@@ -145,7 +145,7 @@ def _surrounded_fractions(
     around = _winding_of_other_bodies(lines, starts, hits, body[faces[hits.face, 0]])
     inner = np.isfinite(around)
     weight, slot = lines.weight[inner], np.searchsorted(chosen, lines.body[inner])
-    # A body that is too thin to have an interior counts as surrounded and stays as it is.
+    # A body that is too thin to have an interior counts as surrounded and is not flipped.
     whole = np.bincount(slot, weight, len(chosen))
     within = np.bincount(slot, weight * (around[inner] >= 1), len(chosen)) + (whole == 0)
     below = np.bincount(slot, weight * (around[inner] < 0), len(chosen))
@@ -160,12 +160,12 @@ def _allocate_hits(count: int) -> _Hits:
 def _sample_lines(
     rotated: Array, faces: Faces, body: NDArray[np.int32], orientation: Array, chosen: NDArray[np.int64]
 ) -> _Lines:
-    """Sample lines through faces of chosen bodies, evenly over the area that each body projects along the lines."""
+    """Sample lines through faces of chosen bodies, evenly over the projected area of each body."""
     own = np.flatnonzero(np.isin(body[faces[:, 0]], chosen))
     a, b, c = (rotated[faces[own, corner]] for corner in range(3))
     area = (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (c[:, 0] - a[:, 0]) * (b[:, 1] - a[:, 1])
     middle, slot = (a + b + c) / 3, np.searchsorted(chosen, body[faces[own, 0]])
-    # Sort by position instead of index, so that the result does not depend on the order of the faces.
+    # Faces are sorted by position instead of index, so that the result does not depend on their order in the mesh.
     order = np.lexsort((middle[:, 2], slot))
     total = np.cumsum(abs(area)[order])
     last = total[np.cumsum(np.bincount(slot, minlength=len(chosen))) - 1]
@@ -181,20 +181,21 @@ def _sample_lines(
     slabs = np.append(np.arange(0, len(face), across), len(face))
     face, weight = face[line], weight[line]
     whose = chosen[slot[face]]
-    # The normals of a body that is wound inwards point into it.
+    # The normals of a body with inward faces point into the body.
     return _Lines(middle[face, :2], slabs, whose, middle[face, 2], -np.sign(area[face]) * orientation[whose], weight)
 
 
 @kernel_helper(inline="always")
 def _crossing_sign(rotated: Array, face: NDArray[np.int32], u: float, v: float) -> int:
-    """Return +1 if a line leaves through a face, -1 if it enters and 0 if it misses the face."""
+    """Return +1 if a line leaves the body through a face, -1 if it enters, and 0 if it misses the face."""
     rise, fall = 0.0, 0.0
     for corner in range(3):
         one, other = face[corner], face[(corner + 1) % 3]
         low, high = min(one, other), max(one, other)
         if (rotated[one, 1] <= v) == (rotated[other, 1] <= v):
             continue
-        # Compute from the lower vertex index, so that both faces at an edge get the same bits and leave no gap.
+        # The interpolation starts at the lower vertex index, so that both faces at an edge get identical bits and no
+        # gap remains.
         across = rotated[low, 0] + (v - rotated[low, 1]) / (rotated[high, 1] - rotated[low, 1]) * (
             rotated[high, 0] - rotated[low, 0]
         )
@@ -209,18 +210,18 @@ def _crossing_sign(rotated: Array, face: NDArray[np.int32], u: float, v: float) 
 
 @kernel_helper(inline="always")
 def _hit_depth(rotated: Array, face: NDArray[np.int32], u: float, v: float) -> float:
-    """Return t at which a line intersects a face."""
+    """Compute t of the intersection of a line with a face."""
     a, b, c = rotated[face[0]], rotated[face[1]], rotated[face[2]]
     ub, vb, tb, uc, vc, tc = b[0] - a[0], b[1] - a[1], b[2] - a[2], c[0] - a[0], c[1] - a[1], c[2] - a[2]
     at = a[2] + ((u - a[0]) * (vc * tb - vb * tc) + (v - a[1]) * (ub * tc - uc * tb)) / (ub * vc - uc * vb)
     low, high = min(a[2], b[2], c[2]), max(a[2], b[2], c[2])
-    at = at if at > low else low  # This comparison also replaces NaN from 0/0 by a bound.
+    at = at if at > low else low  # This form also replaces NaN, from 0/0, by the limit.
     return at if at < high else high
 
 
 @kernel()
 def _intersect_lines(lines: _Lines, rotated: Array, faces: Faces, next_slot: NDArray[np.int64], hits: _Hits) -> None:
-    """Write the intersections of each line at `next_slot` and advance it; without room in `hits`, only count."""
+    """Write the intersections of each line at `next_slot` and advance `next_slot`; if `hits` is empty, only advance."""
     places, slabs = lines.positions_uv, lines.slabs
     low, high = np.empty(len(slabs) - 1), np.empty(len(slabs) - 1)
     for slab in range(len(low)):
@@ -251,7 +252,7 @@ def _intersect_lines(lines: _Lines, rotated: Array, faces: Faces, next_slot: NDA
 
 @kernel()
 def _winding_of_other_bodies(lines: _Lines, starts: NDArray[np.int64], hits: _Hits, owner: NDArray[np.int32]) -> Array:
-    """Compute the winding number of the other bodies just below the face of each line; NaN without an interior."""
+    """Compute the winding number of the other bodies just below each sampled face; NaN if the body has no interior."""
     around = np.full(len(lines.body), np.nan)
     for line in range(len(lines.body)):
         met, own, at, way = (
@@ -265,7 +266,7 @@ def _winding_of_other_bodies(lines: _Lines, starts: NDArray[np.int64], hits: _Hi
             reach = max(reach, abs(hits.line_t[k]))
         for k in met:
             ahead = (hits.line_t[k] - at) * way
-            # The line also intersects its own face; skip that one within the rounding error.
+            # The sampled face itself is skipped: its distance is zero within the rounding error.
             if owner[k] == own and 1e-12 * reach < ahead < chord:
                 chord = ahead
         if chord < np.inf:

@@ -1,8 +1,8 @@
 """Repair of meshes that should bound a solid.
 
-A fault is repaired if only one interpretation is possible; otherwise the mesh cannot be traced. A mesh bounds a solid
-if every directed edge occurs as often as its reverse. The signs of the intersections of any ray then add up to zero,
-also with touching bodies, cavities, slivers and overlaps.
+A fault is repaired if the mesh has only one plausible interpretation; otherwise the mesh cannot be traced. A mesh
+bounds a solid if every directed edge occurs as often as its reverse. The signs of the intersections of any ray then add
+up to zero, even for touching bodies, cavities, very thin faces and overlaps.
 """
 
 import math
@@ -26,13 +26,13 @@ from .mesh_topology import (
     label_bodies,
 )
 
-# A mesh is a sheet if its volume is below this fraction of the cube around it.
+# Fraction of the volume of the bounding cube below which a mesh counts as a sheet without volume.
 _MIN_VOLUME_FRACTION = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """A problem found in a surface.
+    """Problem found in a surface.
 
     Attributes
     ----------
@@ -43,12 +43,12 @@ class Fault:
     count : int
         Number of faces, edges, vertices or sample rays with the problem; 0 if it concerns the whole surface.
     first_items : tuple
-        The first few of them: indices of faces or vertices in the mesh of the user, or pairs of vertices for edges.
+        The first few faces or vertices concerned, as indices in the user's mesh; for edges, pairs of vertices.
     outcome : str
-        ``"refused"`` if the mesh raises an error, ``"mended"`` if it was repaired, ``"noted"`` if it is traced
-        unchanged.
+        ``"error"`` if the mesh raises an error, ``"repaired"`` if it was repaired, ``"warning"`` if it is traced
+        without a change.
     hint : str
-        What is allowed, or how the problem was repaired.
+        Explanation of what is allowed, or how the problem was repaired.
     """
 
     surface: str
@@ -70,14 +70,14 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True)
 class Solid:
-    """Repaired mesh of a solid, as the ray-casting engines use it.
+    """Repaired mesh of a solid, for the ray-casting engines.
 
     Attributes
     ----------
     points : (n, 3) float64 array
         Vertices, in mm.
     faces : (m, 3) int32 array
-        Vertex indices of each face, wound outward. They are closed unless a fault is ``"refused"``.
+        Vertex indices of the outward faces. The mesh is closed unless a fault has the outcome ``"error"``.
     source_vertices : (n,) int64 array
         Index of each point in the original mesh.
     faults : tuple of Fault
@@ -91,27 +91,27 @@ class Solid:
 
     @property
     def fatal_faults(self) -> tuple[Fault, ...]:
-        """Faults that cannot be repaired; tracing such a mesh raises InputError."""
-        return tuple(fault for fault in self.faults if fault.outcome == "refused")
+        """Faults that cannot be repaired; tracing a mesh with a fatal fault raises InputError."""
+        return tuple(fault for fault in self.faults if fault.outcome == "error")
 
     def add_faults(self, *faults: Fault) -> "Solid":
-        """Return the same solid with additional faults.
+        """Return a copy of the solid with additional faults.
 
         Parameters
         ----------
         *faults : Fault
-            Faults that are appended.
+            Faults to append.
 
         Returns
         -------
         Solid
-            Solid with all faults.
+            Solid with the old and the new faults.
         """
         return replace(self, faults=(*self.faults, *faults))
 
 
 def repair_mesh(vertices: Array, faces: NDArray[np.integer], name: str) -> Solid:
-    """Repair a mesh and report what was repaired or cannot be repaired.
+    """Repair a mesh and list its faults, both repaired and fatal.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def repair_mesh(vertices: Array, faces: NDArray[np.integer], name: str) -> Solid
     faces : (m, 3) integer array
         Vertex indices of each face.
     name : str
-        Name of the surface for the report.
+        Name of the surface, for the descriptions of the faults.
 
     Returns
     -------
@@ -141,7 +141,8 @@ def repair_mesh(vertices: Array, faces: NDArray[np.integer], name: str) -> Solid
             return _orient_outward(single, name)
         if not closed:
             return single.add_faults(*_find_open_edges(single, name))
-        # Removing duplicates would open the mesh: two bodies share faces, and each needs its own copy.
+        # The duplicates are kept, because two bodies share faces, and the mesh is closed only if each body has its own
+        # copy.
     return _orient_outward(_drop_degenerate_faces(solid, np.arange(len(triangles)), name)[0], name)
 
 
@@ -156,19 +157,19 @@ def require_usable_solid(solid: Solid) -> None:
     Raises
     ------
     InputError
-        If there is such a fault. The message names the surface, the number of bad faces, edges or vertices and the
-        first of them.
+        If the solid has a fatal fault. The message names the surface, and the number and the first indices of the bad
+        faces, edges or vertices.
     """
     if solid.fatal_faults:
         raise InputError("; ".join(map(str, solid.fatal_faults)))
 
 
 def _find_unusable_input(points: Array, faces: NDArray[np.integer], stray: int, name: str) -> Fault | None:
-    """Return a fault for missing faces, missing vertices or coordinates that are not finite, else None."""
+    """Return a fault if faces are missing, vertices are missing or coordinates are not finite; else None."""
 
     def refuse(what: str, bad: NDArray[np.integer], hint: str) -> Fault:
         first = tuple(map(int, bad[:3]))
-        return Fault(surface=name, problem=what, count=len(bad), first_items=first, outcome="refused", hint=hint)
+        return Fault(surface=name, problem=what, count=len(bad), first_items=first, outcome="error", hint=hint)
 
     if len(faces) == 0:
         return refuse("mesh has 0 faces", faces, "a closed mesh must have 4 faces or more")
@@ -186,12 +187,12 @@ def _find_unusable_input(points: Array, faces: NDArray[np.integer], stray: int, 
 def _make_repair_fault(name: str, what: str, numbers: NDArray[np.integer], hint: str) -> Fault:
     """Make a fault for a problem that was repaired."""
     first = tuple(map(int, numbers[:3]))
-    return Fault(surface=name, problem=what, count=len(numbers), first_items=first, outcome="mended", hint=hint)
+    return Fault(surface=name, problem=what, count=len(numbers), first_items=first, outcome="repaired", hint=hint)
 
 
 def _remove_duplicates(solid: Solid, name: str) -> Solid:
     """Merge equal vertices, then remove faces with a repeated vertex and duplicate faces."""
-    first, number = find_distinct_rows(solid.points + 0.0)  # Adding 0.0 turns -0.0 into 0.0.
+    first, number = find_distinct_rows(solid.points + 0.0)  # Adding 0.0 converts -0.0 to 0.0.
     if len(first) < len(solid.points):
         again = solid.source_vertices[_unpicked_indices(first, len(solid.points))]
         welded = replace(
@@ -218,14 +219,14 @@ def _drop_degenerate_faces(solid: Solid, numbers: NDArray[np.int64], name: str) 
 
 
 def _unpicked_indices(picked: NDArray[np.int64], count: int) -> NDArray[np.int64]:
-    """Return the indices below `count` that are not picked."""
+    """Return the indices from 0 to `count` - 1 that are not in `picked`."""
     left = np.ones(count, np.bool_)
     left[picked] = False
     return np.flatnonzero(left)
 
 
 def _find_open_edges(solid: Solid, name: str) -> list[Fault]:
-    """Return faults for the edges at which a mesh is not closed."""
+    """Make the faults for edges at which a mesh is not closed."""
     start, end = (solid.faces[:, order].ravel().astype(np.int64) for order in ([0, 1, 2], [1, 2, 0]))
     edges, inverse, degree = np.unique(
         np.column_stack((np.minimum(start, end), np.maximum(start, end))),
@@ -244,16 +245,17 @@ def _find_open_edges(solid: Solid, name: str) -> list[Fault]:
             first = tuple(f"{a}-{b}" for a, b in solid.source_vertices[edges[bad][:3]])
             hint = "the mesh must be closed with consistent winding"
             faults.append(
-                Fault(surface=name, problem=what, count=int(bad.sum()), first_items=first, outcome="refused", hint=hint)
+                Fault(surface=name, problem=what, count=int(bad.sum()), first_items=first, outcome="error", hint=hint)
             )
     return faults
 
 
 def _orient_outward(solid: Solid, name: str) -> Solid:
-    """Flip the faces of the whole mesh, or of bodies that are not cavities, if they are inside out."""
+    """Flip the faces of a mesh that is inside out, or of single bodies that are inside out and not cavities."""
     faces, faults = solid.faces, []
     half_mm = max(float(column.max() / 2 - column.min() / 2) for column in solid.points.T)
-    # Scale to a unit near the size of the mesh. A power of two keeps the bits, and no size overflows.
+    # Coordinates are scaled to the size of the mesh, so that no mesh size overflows. A power of two adds no rounding
+    # error.
     unit_mm = math.ldexp(1.0, math.frexp(half_mm)[1] - 1)
     points = solid.points / unit_mm
     body, count = label_bodies(faces, len(points))
@@ -261,9 +263,10 @@ def _orient_outward(solid: Solid, name: str) -> Solid:
     least = _MIN_VOLUME_FRACTION * (2 * half_mm / unit_mm) ** 3
 
     def turned(what: str, number: int) -> Fault:
-        return Fault(surface=name, problem=what, count=number, first_items=(), outcome="mended", hint="flipped outward")
+        hint = "flipped outward"
+        return Fault(surface=name, problem=what, count=number, first_items=(), outcome="repaired", hint=hint)
 
-    # Do not flip the whole mesh if the volumes of its bodies cancel within rounding; judge each body instead.
+    # If the volumes of the bodies cancel within rounding, the whole mesh is not flipped; each body is tested instead.
     if volumes.sum() < -1e-9 * abs(volumes).sum():
         faces, volumes = np.ascontiguousarray(faces[:, ::-1]), -volumes
         faults.append(turned("mesh is inside out; faces", len(faces)))
@@ -281,7 +284,5 @@ def _orient_outward(solid: Solid, name: str) -> Solid:
         flat_mm3 = least * unit_mm * unit_mm * unit_mm
         what = f"mesh has no volume (less than {flat_mm3:.3g} mm3)"
         hint = "the mesh must bound a solid"
-        return solid.add_faults(
-            Fault(surface=name, problem=what, count=0, first_items=(), outcome="refused", hint=hint)
-        )
+        return solid.add_faults(Fault(surface=name, problem=what, count=0, first_items=(), outcome="error", hint=hint))
     return replace(solid, faces=faces).add_faults(*faults)

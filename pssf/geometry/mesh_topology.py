@@ -1,4 +1,4 @@
-"""Topology of triangle meshes: edge balance, duplicates, connected bodies and volumes."""
+"""Topology of triangle meshes: edge balance, duplicates, connected components (bodies) and volumes."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ Faces = NDArray[np.int32]
 
 
 def convert_faces_to_int32(faces: NDArray[np.integer], count: int) -> tuple[Faces, int]:
-    """Convert faces to int32 and count indices of vertices that do not exist.
+    """Convert faces to int32 and count invalid vertex indices.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def convert_faces_to_int32(faces: NDArray[np.integer], count: int) -> tuple[Face
     faces : (m, 3) int32 array
         Copy of the vertex indices.
     stray : int
-        Number of indices below 0 or not below `count`.
+        Number of indices outside the range 0 to `count` - 1.
     """
     return faces.astype(np.int32, order="C"), int(np.count_nonzero((faces < 0) | (faces >= count)))
 
@@ -39,7 +39,7 @@ def _mix_hash(key: np.uint64) -> np.uint64:
 
 @kernel()
 def hash_edge_balance(faces: Faces) -> np.uint64:
-    """Sum the hashes of all undirected edges, with a sign by their direction.
+    """Sum the hashes of all undirected edges, with opposite signs for the two directions.
 
     Parameters
     ----------
@@ -49,7 +49,8 @@ def hash_edge_balance(faces: Faces) -> np.uint64:
     Returns
     -------
     uint64
-        0 if every directed edge occurs as often as its reverse. An unbalanced mesh gives 0 once in 1e19 cases.
+        0 if every directed edge occurs as often as its reverse. The probability that an unbalanced mesh gives 0 is
+        1e-19.
     """
     total = np.uint64(0)
     for k in range(len(faces)):
@@ -66,7 +67,7 @@ def hash_edge_balance(faces: Faces) -> np.uint64:
 
 @kernel()
 def find_distinct_rows(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Find distinct rows by their bits: -0.0 differs from 0.0, and NaN equals the same NaN.
+    """Find distinct rows by bitwise comparison: -0.0 differs from 0.0, and identical NaN are equal.
 
     Parameters
     ----------
@@ -76,9 +77,9 @@ def find_distinct_rows(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int32
     Returns
     -------
     first : (k,) int64 array
-        Index of the first occurrence of each distinct row, in order.
+        Index of the first occurrence of each distinct row, in ascending order.
     number : (n,) int32 array
-        For every row, the position of its distinct row in `first`.
+        Position in `first` of the distinct row that equals each row.
     """
     size = 1
     while size < 2 * len(rows):
@@ -101,7 +102,7 @@ def find_distinct_rows(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int32
 
 
 def find_degenerate_faces(faces: Faces) -> NDArray[np.bool_]:
-    """Find faces with a repeated vertex; they do not affect whether a mesh is closed.
+    """Find faces with a repeated vertex; these faces do not affect whether a mesh is closed.
 
     Parameters
     ----------
@@ -119,19 +120,19 @@ def find_degenerate_faces(faces: Faces) -> NDArray[np.bool_]:
 
 @kernel()
 def count_repeated_faces(points: Array, faces: Faces) -> int:
-    """Count faces that repeat an earlier face with the same corners and winding, whatever their vertex indices.
+    """Count faces that repeat an earlier face with the same corner positions and the same winding.
 
     Parameters
     ----------
     points : (n, 3) float64 array, mm
-        Vertices, without -0.0.
+        Vertices, in which 0.0 replaces -0.0.
     faces : (m, 3) int32 array
         Vertex indices of each face. Faces with a repeated vertex are ignored.
 
     Returns
     -------
     int
-        Number of repeated faces. Hashes collide, which gives one too many, once in 1e19 / m**2 cases.
+        Number of repeated faces. A hash collision adds 1 with a probability of m**2 / 1e19.
     """
     bits, place = points.view(np.uint64), np.empty(len(points), np.uint64)
     for k in range(len(points)):
@@ -145,7 +146,7 @@ def count_repeated_faces(points: Array, faces: Faces) -> int:
         a, b, c = place[faces[k, 0]], place[faces[k, 1]], place[faces[k, 2]]
         if a == b or b == c or c == a:
             continue
-        # Rotate the corners so that the key does not depend on the first corner but on the winding.
+        # The corners are rotated, so that the key depends on the winding but not on which corner comes first.
         if b < a and b < c:
             a, b, c = b, c, a
         elif c < a and c < b:
@@ -161,7 +162,7 @@ def count_repeated_faces(points: Array, faces: Faces) -> int:
 
 @kernel()
 def label_bodies(faces: Faces, count: int) -> tuple[NDArray[np.int32], int]:
-    """Label the connected bodies of a mesh (union-find).
+    """Label the connected components (bodies) of a mesh by union-find.
 
     Parameters
     ----------
@@ -173,7 +174,7 @@ def label_bodies(faces: Faces, count: int) -> tuple[NDArray[np.int32], int]:
     Returns
     -------
     number : (count,) int32 array
-        Index of the connected body of each vertex.
+        Index of the body of each vertex.
     bodies : int
         Number of bodies.
     """
@@ -216,14 +217,14 @@ def body_volumes_mm3(points: Array, faces: NDArray[np.int32], body: NDArray[np.i
     faces : (m, 3) int32 array
         Vertex indices of each face.
     body : (n,) int32 array
-        Index of the body of each vertex, below `count`.
+        Index of the body of each vertex, from 0 to `count` - 1.
     count : int
         Number of bodies.
 
     Returns
     -------
     (count,) float64 array
-        Volume of each body, in mm3; negative if it is wound inwards.
+        Volume of each body, in mm3; negative if its faces point inward.
     """
     volumes = np.zeros(count)
     o = points[faces[0, 0]]
@@ -238,7 +239,7 @@ def body_volumes_mm3(points: Array, faces: NDArray[np.int32], body: NDArray[np.i
 
 
 def find_used_vertices(faces: Faces, count: int) -> NDArray[np.bool_]:
-    """Find the vertices that occur in a face.
+    """Find the vertices that are used by at least one face.
 
     Parameters
     ----------
@@ -250,7 +251,7 @@ def find_used_vertices(faces: Faces, count: int) -> NDArray[np.bool_]:
     Returns
     -------
     (count,) bool array
-        True for each vertex in use.
+        True for each used vertex.
     """
     marks = np.zeros(count, np.bool_)
     marks[faces.reshape(-1)] = True
@@ -258,7 +259,7 @@ def find_used_vertices(faces: Faces, count: int) -> NDArray[np.bool_]:
 
 
 def drop_unused_vertices(points: Array, faces: Faces) -> tuple[Array, Faces]:
-    """Remove the vertices that occur in no face.
+    """Remove the vertices that no face uses.
 
     Parameters
     ----------
@@ -270,7 +271,7 @@ def drop_unused_vertices(points: Array, faces: Faces) -> tuple[Array, Faces]:
     Returns
     -------
     points : (k, 3) float64 array
-        Vertices in use, in mm.
+        Used vertices, in mm.
     faces : (m, 3) int32 array
         Faces with the new vertex indices.
     """

@@ -1,4 +1,4 @@
-"""Scenes: closed surfaces with the material on either side of each."""
+"""Scenes: closed surfaces with their inside and outside materials."""
 
 import hashlib
 import math
@@ -26,15 +26,15 @@ from .mesh_repair import (
 if TYPE_CHECKING:
     import trimesh
 
-# Plausible extent of a scene, in mm. Outside this range the unit is likely not the millimetre.
+# Range of the plausible extent of a scene, in mm. A scene outside this range probably has another unit.
 SIZE_RANGE_MM = (5.0, 3000.0)
-# Least and greatest extent of any scene, in mm. Within it, float64 resolves a micrometre in a scene of a kilometre, and
-# squared coordinates do not overflow.
+# Smallest and largest allowed extent of any scene, in mm. Within this range, squared coordinates do not overflow, and
+# float64 resolves a micrometre in a scene of a kilometre.
 _SIZE_LIMITS_MM = (1e-6, 1e12)
 
 
 class MeshNotice(UserWarning):
-    """Warning that a mesh was repaired before it was traced; the message says where and how."""
+    """Warning that a mesh was repaired before ray casting; the message names the faults and the repair."""
 
 
 @check_keywords()
@@ -47,20 +47,20 @@ class Surface:
     Parameters
     ----------
     mesh : trimesh.Trimesh or Mesh
-        Closed mesh in mm with outward normals. A Mesh is converted to a trimesh.Trimesh when the attribute is read.
-        The mesh is repaired once, when it is first needed.
+        Closed mesh in mm with outward normals. A Mesh is converted to a trimesh.Trimesh when the attribute is read. The
+        mesh is repaired once, when it is first used.
     inside : str
         Material inside: the name of a tissue (``data/tissues.toml``), ``"FORMULA@DENSITY"`` in g/cm3 such as
         ``"Ti@4.51"``, or percent by mass such as ``"Ti=90,Al=6,V=4@4.43"``.
     outside : str
-        Material outside, given in the same way.
+        Material outside, in the same notation.
     name : str, default "surface"
         Name in exports and error messages: 1 to 64 letters, digits, ``_``, ``-``, ``.`` and blanks.
     inside_density : Density, optional
         Relative density of the material inside, if it varies. Path lengths are then integrals of the density.
     outside_density : Density, optional
-        Relative density of the material outside. If the surrounding surface has one, it must be given here too;
-        otherwise `trace` raises InputError.
+        Relative density of the material outside. It must be the `inside_density` of the surrounding surface; otherwise
+        `trace` raises InputError.
 
     Raises
     ------
@@ -146,11 +146,11 @@ class Scene:
     surfaces : iterable of Surface
         Surfaces of the scene.
     ambient : str, default "air"
-        Gas around all surfaces, which attenuates nothing; `simulate` raises InputError for a denser material. For a
+        Gas around all surfaces, which does not attenuate; `simulate` raises InputError for a denser material. For a
         phantom in water, add a closed surface of water in air.
     size_mm : tuple of float, default (5.0, 3000.0)
-        Least and greatest extent of the scene, in mm. An extent outside this range suggests a wrong unit and raises an
-        error in `check` and `trace`. ``(0, inf)`` allows any extent.
+        Smallest and largest plausible extent of the scene, in mm. An extent outside this range suggests a wrong unit:
+        `check` reports an error and `trace` raises InputError. ``(0, inf)`` allows any extent.
 
     Raises
     ------
@@ -212,12 +212,12 @@ class Scene:
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """Faults of the meshes in the order of the surfaces, followed by a fault of the extent."""
+        """Faults of the meshes in the order of the surfaces, followed by a fault if the extent is implausible."""
         faults = [fault for surface in self.surfaces for fault in surface.solid.faults]
-        if not self.surfaces or any(fault.outcome == "refused" for fault in faults):
+        if not self.surfaces or any(fault.outcome == "error" for fault in faults):
             return tuple(faults)
         low, high = max(self.size_mm[0], _SIZE_LIMITS_MM[0]), min(self.size_mm[1], _SIZE_LIMITS_MM[1])
-        # Subtract halves, so that a scene that spans the range of float64 does not overflow.
+        # Halves are subtracted, because the difference of two coordinates near the limits of float64 could overflow.
         across_mm = 2.0 * float((self.bounds_mm[1] / 2 - self.bounds_mm[0] / 2).max())
         away_mm = float(abs(self.bounds_mm).max())
         what = hint = ""
@@ -228,7 +228,7 @@ class Scene:
         elif away_mm > _SIZE_LIMITS_MM[1]:
             what, hint = f"scene is {away_mm:.4g} mm from the origin", f"it must be within {_SIZE_LIMITS_MM[1]:g} mm"
         if what:
-            faults.append(Fault(surface="scene", problem=what, count=0, first_items=(), outcome="refused", hint=hint))
+            faults.append(Fault(surface="scene", problem=what, count=0, first_items=(), outcome="error", hint=hint))
         return tuple(faults)
 
 
@@ -251,7 +251,7 @@ def resolve_scene(subject: Scene | HasScene) -> Scene:
     Returns
     -------
     Scene
-        Scene itself or that of the object.
+        The scene itself, or the scene of the object.
 
     Raises
     ------
@@ -265,7 +265,7 @@ def resolve_scene(subject: Scene | HasScene) -> Scene:
 
 
 def require_traceable(scene: Scene) -> None:
-    """Raise an error if a scene cannot be traced, and warn once for every repaired mesh.
+    """Raise an error if a scene cannot be traced, and warn about every repaired mesh.
 
     Parameters
     ----------
@@ -275,8 +275,8 @@ def require_traceable(scene: Scene) -> None:
     Raises
     ------
     InputError
-        If a fault cannot be repaired. The message names each surface, the number of bad faces, edges or vertices and
-        the first of them.
+        If a fault cannot be repaired. The message names each surface, and the number and the first indices of the bad
+        faces, edges or vertices.
 
     Warns
     -----
@@ -284,16 +284,16 @@ def require_traceable(scene: Scene) -> None:
         For every repaired mesh.
     """
     faults = scene.faults
-    refused = [str(fault) for fault in faults if fault.outcome == "refused"]
-    if refused:
-        raise InputError("; ".join(refused))
+    errors = [str(fault) for fault in faults if fault.outcome == "error"]
+    if errors:
+        raise InputError("; ".join(errors))
     for fault in faults:
-        if fault.outcome == "mended":
+        if fault.outcome == "repaired":
             warnings.warn(str(fault), MeshNotice, stacklevel=3)
 
 
 def _require_size_range(size_mm: tuple[float, float]) -> tuple[float, float]:
-    """Check a least and a greatest extent, in mm, and return them as floats."""
+    """Check the smallest and the largest extent, in mm, and return them as floats."""
     if not isinstance(size_mm, tuple | list | np.ndarray) or len(size_mm) != 2:
         raise InputError(f"scene: size_mm must be the least and the greatest extent in mm, got {size_mm!r}")
     low, high = size_mm

@@ -18,14 +18,14 @@ from ..core.checks import (
 )
 from ..model.protocol import Protocol
 
-# The limits allow every scene that can be traced, and a view of the whole scene.
-# Largest coordinate of source and detector, in mm.
+# The following limits allow a view of every scene that can be traced.
+# Largest absolute coordinate of source and detector, in mm.
 _FARTHEST_MM = 1e14
-# Least and greatest pixel size, in mm.
+# Smallest and largest pixel size, in mm.
 _PIXEL_MM = (1e-9, 1e12)
 # Largest number of rows or columns.
 _MOST_PIXELS = 65536
-# Least distance between source and detector along y, in mm.
+# Smallest distance between source and detector along y, in mm.
 _MIN_SOURCE_DETECTOR_MM = 1e-6
 
 
@@ -40,7 +40,7 @@ class View:
     source_mm : tuple of float
         Position (x, y, z) of the source, in mm.
     centre_mm : tuple of float
-        Position (x, y, z) of the detector centre, in mm. Its y is greater than that of the source.
+        Position (x, y, z) of the detector centre, in mm. Its y must exceed the y of the source.
     rows : int
         Number of detector rows.
     cols : int
@@ -88,8 +88,8 @@ def resolve_view(protocol: Protocol | View) -> View:
 
     The source at (0, -SOD, 0) is rotated about the x axis through the origin by ``beam_angle_deg``. A positive angle
     moves it proximally, so that the beam points caudally. The detector stays in the plane y = SDD - SOD, centred on
-    the central ray. ``centre_x_mm`` and ``centre_z_mm`` shift source and detector together: the central ray then
-    crosses the joint plane at this point.
+    the central ray. ``centre_x_mm`` and ``centre_z_mm`` shift source and detector together, so that the central ray
+    crosses the joint plane at x = ``centre_x_mm`` and z = ``centre_z_mm``.
 
     Parameters
     ----------
@@ -104,7 +104,7 @@ def resolve_view(protocol: Protocol | View) -> View:
     Raises
     ------
     InputError
-        If `protocol` is anything else, or if its beam has yet to be aligned with a knee.
+        If `protocol` is neither a Protocol nor a View, or if its beam must first be aligned with a knee (`beam_along`).
     """
     if isinstance(protocol, View):
         return protocol
@@ -127,20 +127,20 @@ def resolve_view(protocol: Protocol | View) -> View:
 
 
 def make_focal_spot_views(protocol: Protocol, points_per_side: int = 3) -> list[tuple[View, float]]:
-    """Sample a square focal spot by views with different source positions and their weights.
+    """Sample a square focal spot: make views from several source positions, with integration weights.
 
     Parameters
     ----------
     protocol : Protocol
-        Acquisition protocol, which gives the size of the focal spot.
+        Acquisition protocol, which defines the size of the focal spot.
     points_per_side : int, default 3
-        Number of points per side of a Gauss-Legendre rule. It is exact for a signal that is a polynomial of degree
-        ``2 * points_per_side - 1`` over the focal spot.
+        Number of Gauss-Legendre points along each side of the focal spot. The integral is exact if the signal is a
+        polynomial of degree ``2 * points_per_side - 1`` over the focal spot.
 
     Returns
     -------
     list of tuple of View and float
-        View from each point and its weight; the weights add up to 1.
+        View from each source point and its weight; the weights add up to 1.
     """
     middle, half = resolve_view(protocol), protocol.focal_spot_mm / 2
     places, weights = np.polynomial.legendre.leggauss(points_per_side)
@@ -191,7 +191,7 @@ def depth_fraction(points_mm: Array, view: View) -> Array:
 
 
 def project_at_depth(points_mm: Array, depth: Array, view: View) -> Array:
-    """Project points whose relative depth is known.
+    """Project points with a known relative depth onto the detector.
 
     Parameters
     ----------

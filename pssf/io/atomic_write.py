@@ -1,4 +1,4 @@
-"""Atomic writing: a file appears completely or not at all."""
+"""Write files atomically: a file appears completely or not at all."""
 
 import errno
 import os
@@ -16,10 +16,10 @@ from ..core.checks import InputError
 if sys.platform != "win32":
     import fcntl
 
-# Only temporary files of this package begin with this prefix, so no other file can be deleted by mistake.
+# Prefix of temporary files. No other file has this prefix, so no other file can be deleted by mistake.
 _PREFIX = ".pssf-"
 _own_temporary_files = set[str]()  # temporary files that this process is writing
-# Errors of file systems that cannot flush or change a mode. A full disk gives other errors.
+# Error numbers of file systems that cannot flush a file or change its mode. A full disk gives other error numbers.
 _UNSUPPORTED_ERRNOS = {errno.EPERM, errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
 
 
@@ -103,7 +103,7 @@ def delete_own_temporary_files() -> None:
 
 
 def find_temporary_files(path: Path) -> list[Path]:
-    """List the temporary files in a folder, of running writers and of killed ones.
+    """List the temporary files in a folder, including files of killed writers.
 
     Parameters
     ----------
@@ -119,9 +119,9 @@ def find_temporary_files(path: Path) -> list[Path]:
 
 
 def delete_stale_temporary_files(path: Path) -> None:
-    """Delete the temporary files that killed writers have left in a folder; files that are being written are kept.
+    """Delete the temporary files that killed writers left in a folder; keep the files of running writers.
 
-    On Windows nothing is deleted.
+    On Windows the function deletes nothing.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def delete_stale_temporary_files(path: Path) -> None:
     if sys.platform == "win32":
         return
     for left in find_temporary_files(path):
-        # A held lock means a running writer; without lock support the owner is unknown. Both files are kept.
+        # A file is kept if it is locked, because its writer runs. It is also kept if the file system has no locks.
         with suppress(OSError):
             handle = os.open(left, os.O_RDWR)
             try:
@@ -157,7 +157,7 @@ def make_folder(path: Path) -> Path:
     Raises
     ------
     InputError
-        The folder cannot be created. The message names it.
+        The folder cannot be created. The message names the folder.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -185,7 +185,7 @@ def make_write_error(path: Path, error: OSError) -> InputError:
     Parameters
     ----------
     path : Path
-        File or folder to name in the message.
+        Path of the file or folder, shown in the error message.
     error : OSError
         Error that the operating system or a library raised.
 
@@ -194,18 +194,18 @@ def make_write_error(path: Path, error: OSError) -> InputError:
     InputError
         Error with a one-line message, to be raised by the caller.
     """
-    # numpy reports how many bytes it wrote, without a reason.
-    # pydicom passes on the error of the disk with a traceback below it, so only the first line is used.
+    # Errors of numpy give the number of bytes written and no reason, so a full disk is assumed.
+    # Errors of pydicom have a traceback after the first line, so only the first line is used.
     reason = error.strerror or f"not enough free space ({(str(error).splitlines() or [''])[0]})"
     return InputError(f"file {path} must be writable, got {reason}: use a writable folder with free space")
 
 
 @dataclass(frozen=True, kw_only=True)
 class _TemporaryFile:
-    """A new file that stays locked as long as its handle is open.
+    """New temporary file that stays locked while its handle is open.
 
-    `handle` is None on systems where other writers could not write to an open file. `mode` is the mode of the file
-    that will be replaced, or None if there is none.
+    `handle` is None on Windows, which cannot write to a file that is open elsewhere. `mode` is the mode of the file to
+    be replaced, or None if no file exists.
     """
 
     name: str
@@ -219,18 +219,18 @@ class _TemporaryFile:
 
 
 def _create_temporary_file(path: Path) -> _TemporaryFile:
-    """Create a locked file beside `path`, so that `delete_stale_temporary_files` can recognise a running writer.
+    """Create a locked file in the folder of `path`; the lock shows other processes that its writer runs.
 
     The lock ends when the handle is closed or the process ends.
     """
     mode = None
     with suppress(FileNotFoundError):
         mode = stat.S_IMODE(path.stat().st_mode)
-    # Other users must not read the file before it has the mode of the file that it replaces.
+    # A file that replaces another file is private until it gets the mode of the replaced file.
     first_mode = 0o666 if mode is None else 0o600
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
     while True:
-        # The stem is shortened, so that the name with its random part stays within the limit of the file system.
+        # The stem is shortened, so that the name with its random part is not too long for the file system.
         name = str(path.with_name(f"{_PREFIX}{path.stem[:40]}-{secrets.token_hex(4)}{path.suffix}"))
         try:
             handle = os.open(name, flags, first_mode)

@@ -1,4 +1,4 @@
-"""Cohort records: the specification of a cohort, one record per knee, and the manifest."""
+"""Read and write the records of a cohort: its specification, one record per knee, and the manifest."""
 
 import csv
 import hashlib
@@ -31,7 +31,7 @@ Row = dict[str, Any]
 
 
 class ManifestEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """Columns of a manifest row that identify a radiograph and its files; all other columns are ignored.
+    """Entries of a manifest row that identify a radiograph and its files; all other columns are ignored.
 
     Attributes
     ----------
@@ -58,19 +58,19 @@ class ManifestEntry(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def files(self) -> dict[str, str]:
-        """File, relative to the folder of the cohort, to its SHA-256."""
+        """SHA-256 of each file, keyed by its path relative to the folder of the cohort."""
         return {self.file: self.sha256} | ({self.masks: self.masks_sha256} if self.masks else {})
 
 
 class KneeRecord(Record, frozen=True):
-    """Manifest rows of the radiographs of one knee.
+    """Record of one knee: the manifest rows of its radiographs.
 
     Attributes
     ----------
     rows : list of dict
-        One row per radiograph, by column name.
+        One row per radiograph, keyed by column name.
     cohort_sha256 : str
-        SHA-256 of the cohort.json that the radiographs were made for.
+        SHA-256 of the cohort.json for which the radiographs were made.
     sha256 : str
         SHA-256 of `rows` and `cohort_sha256`.
     """
@@ -81,7 +81,7 @@ class KneeRecord(Record, frozen=True):
 
 
 class CohortFileProtocol(msgspec.Struct, frozen=True, kw_only=True):
-    """A protocol in cohort.json.
+    """Entry of a protocol in cohort.json.
 
     Attributes
     ----------
@@ -93,7 +93,7 @@ class CohortFileProtocol(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class CohortFileKnee(msgspec.Struct, frozen=True, kw_only=True):
-    """A knee in cohort.json.
+    """Entry of a knee in cohort.json.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class CohortFileKnee(msgspec.Struct, frozen=True, kw_only=True):
     index : int
         Number of the knee.
     radiographs : tuple of str
-        Names of its radiographs, in order.
+        Names of the radiographs of the knee, in order.
     """
 
     subject: int
@@ -111,7 +111,7 @@ class CohortFileKnee(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class CohortFile(Record, frozen=True):
-    """Content of cohort.json: the specification of the cohort in a folder; see `cohort.Plan.table`.
+    """Content of cohort.json, the specification of a cohort; see `cohort.Plan.build_request`.
 
     Attributes
     ----------
@@ -128,9 +128,9 @@ class CohortFile(Record, frozen=True):
     engine : str
         Ray caster, "embree" or "scanline".
     versions : dict of str to str
-        Library name to version.
+        Version of each library, keyed by its name.
     code : dict of str to str
-        Part of the package to the hash of its code.
+        Hash of the code of each subpackage or module, keyed by its path.
     """
 
     preset: str
@@ -166,46 +166,46 @@ def hash_file(path: Path) -> str:
 
 
 def claim_folder(path: Path, cohort_content: dict[str, Any]) -> str:
-    """Write the specification of a cohort into its folder, or check that the folder already holds the same one.
+    """Write the specification of a cohort into its folder, or check that an existing specification is the same.
 
     Parameters
     ----------
     path : Path
         The cohort.json of the folder.
     cohort_content : dict
-        JSON-ready specification. Its entry `code`, if present, holds the hashes of the code that makes the cohort.
+        JSON-ready specification. Its optional entry `code` has the hashes of the code that makes the cohort.
 
     Returns
     -------
     str
-        SHA-256 of the file.
+        SHA-256 of cohort.json.
 
     Raises
     ------
     InputError
-        The folder holds another cohort, or one made by other code. The message names the first entry that differs,
-        or every part of the code that does.
+        The folder has another cohort, or a cohort made by other code. The message names the first entry that differs,
+        or every part of the code that differs.
     """
     if not os.path.exists(path):
         write_json(path, cohort_content)
         return hash_file(path)
-    claimed: dict[str, Any] = read_json(path, dict[str, Any], allowed="undamaged (use a new folder)")
+    claimed: dict[str, Any] = read_json(path, dict[str, Any], allowed="an intact file of pssf (use a new folder)")
     was, wanted = ({name: entry for name, entry in of.items() if name != "code"} for of in (claimed, cohort_content))
     if was != wanted:
         place, old, new = _find_difference(was, wanted)
         what = f"{place} = {old!r}, requested {new!r}"
-        raise InputError(f"folder {path.parent} must be new or hold the requested cohort, got {what}: use a new folder")
+        raise InputError(f"folder {path.parent} must be new or have the requested cohort, got {what}: use a new folder")
     parts = format_differing_parts(claimed.get("code", {}), cohort_content.get("code", {}))
     if parts:
-        what = f"one made by other code ({parts})"
+        what = f"a cohort made by other code ({parts})"
         raise InputError(
-            f"folder {path.parent} must hold a cohort of this code, got {what}: use that code, or a new folder"
+            f"folder {path.parent} must have a cohort made by this code, got {what}: use that code, or a new folder"
         )
     return hash_file(path)
 
 
 def require_claimed_folder(path: Path, cohort_sha256: str) -> None:
-    """Require that this machine sees the folder of the cohort that was claimed, for workers on other machines.
+    """Require that a worker on another machine accesses the folder of the cohort that it works on.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def require_claimed_folder(path: Path, cohort_sha256: str) -> None:
     Raises
     ------
     InputError
-        The file is missing here, or belongs to another cohort. The message names the machine.
+        The file is missing on the machine of the worker, or belongs to another cohort. The message names the machine.
     """
     allowed = "all workers must share the folder under the same path"
     try:
@@ -225,11 +225,13 @@ def require_claimed_folder(path: Path, cohort_sha256: str) -> None:
     except InputError as error:
         raise InputError(f"on {node()}: {str(error).split(';')[0]}; {allowed}") from None
     if here != cohort_sha256:
-        raise InputError(f"on {node()}: folder {path.parent} must hold this run's cohort, got another one: {allowed}")
+        raise InputError(
+            f"on {node()}: folder {path.parent} must have the cohort of this run, got another cohort: {allowed}"
+        )
 
 
 def write_knee_record(folder: Path, knee: int, rows: list[Row], cohort_sha256: str) -> None:
-    """Write the record of one knee with its own hash, after its images were written.
+    """Write the record of one knee and a hash of the record, after the images of the knee were written.
 
     Parameters
     ----------
@@ -238,9 +240,9 @@ def write_knee_record(folder: Path, knee: int, rows: list[Row], cohort_sha256: s
     knee : int
         Number of the knee.
     rows : list of dict
-        Manifest rows of its radiographs.
+        Manifest rows of the radiographs of the knee.
     cohort_sha256 : str
-        SHA-256 of the cohort.json that the radiographs were made for.
+        SHA-256 of the cohort.json for which the radiographs were made.
 
     Raises
     ------
@@ -263,9 +265,9 @@ def read_verified_rows(folder: Path, knee: int, names: list[str], cohort_sha256:
     knee : int
         Number of the knee.
     names : list of str
-        Names that its radiographs must have, in order.
+        Names that the radiographs of the knee must have, in order.
     cohort_sha256 : str
-        SHA-256 of the cohort.json that the record must belong to.
+        SHA-256 of the cohort.json to which the record must belong.
 
     Returns
     -------
@@ -285,12 +287,12 @@ def read_verified_rows(folder: Path, knee: int, names: list[str], cohort_sha256:
     if record.cohort_sha256 != cohort_sha256:
         raise InputError(
             f"file {path} must belong to a cohort.json with sha256 {cohort_sha256[:12]}..., got "
-            f"{record.cohort_sha256[:12]}...: delete it to have it made again"
+            f"{record.cohort_sha256[:12]}...: delete it and it is made again"
         )
     if [row["radiograph"] for row in rows] != names:
         raise InputError(
-            f"file {path} must hold knee {knee}, with radiographs {', '.join(names)}, got others: "
-            "delete it to have it made again"
+            f"file {path} must have the radiographs of knee {knee}, {', '.join(names)}, got others: "
+            "delete it and it is made again"
         )
     named = [require_manifest_entry(row, path) for row in rows]
     expected = {folder / file: digest for one in named for file, digest in one.files.items()}
@@ -300,12 +302,12 @@ def read_verified_rows(folder: Path, knee: int, names: list[str], cohort_sha256:
         now = hash_file(file)
         if now != digest:
             change = f"sha256 {now[:12]}..., recorded {digest[:12]}..."
-            raise InputError(f"file {file} must be undamaged, got {change}: delete it to have it made again")
+            raise InputError(f"file {file} is damaged ({change}); delete it and it is made again")
     return rows
 
 
 def read_knee_record(path: Path) -> KneeRecord:
-    """Read the record of one knee and check it against its own hash.
+    """Read the record of one knee and check it against the hash in the record.
 
     Parameters
     ----------
@@ -324,7 +326,7 @@ def read_knee_record(path: Path) -> KneeRecord:
     """
     record: KneeRecord = read_json(path, KneeRecord)
     if record.sha256 != _hash_rows(record.rows, record.cohort_sha256):
-        raise InputError(f"file {path} must be undamaged, got a wrong hash: delete it to have it made again")
+        raise InputError(f"file {path} is damaged (wrong hash); delete it and it is made again")
     for row in record.rows:
         require_manifest_entry(row, path)
     return record
@@ -336,9 +338,9 @@ def require_manifest_entry(row: Row, path: Path) -> ManifestEntry:
     Parameters
     ----------
     row : dict
-        Manifest row, by column name.
+        Manifest row, keyed by column name.
     path : Path
-        File of the row, to name in the message.
+        Path of the manifest or record, shown in error messages.
 
     Returns
     -------
@@ -348,12 +350,12 @@ def require_manifest_entry(row: Row, path: Path) -> ManifestEntry:
     Raises
     ------
     InputError
-        A column is missing or has another type, or a file is outside of the folder of the cohort.
+        A column is missing or has a wrong type, or a file is outside the folder of the cohort.
     """
     try:
         return msgspec.convert(row, ManifestEntry, strict=False)
     except msgspec.ValidationError as error:
-        raise InputError(f"file {path} must be undamaged, got {error}: delete it to have it made again") from None
+        raise InputError(f"file {path} is damaged ({error}); delete it and it is made again") from None
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -382,7 +384,7 @@ def write_csv(path: Path, rows: list[Row]) -> None:
     path : Path
         File to write.
     rows : list of dict
-        Rows by column name. Columns are in the order in which the rows first have them.
+        Rows, keyed by column name. Columns are written in the order of their first occurrence.
 
     Raises
     ------
@@ -398,12 +400,12 @@ def encode_csv(rows: list[Row]) -> bytes:
     Parameters
     ----------
     rows : list of dict
-        Rows by column name. Columns are in the order in which the rows first have them.
+        Rows, keyed by column name. Columns are written in the order of their first occurrence.
 
     Returns
     -------
     bytes
-        CSV in UTF-8. A cell is empty where a row lacks the column.
+        CSV in UTF-8. A cell is empty if its row lacks the column.
     """
     text = io.StringIO()
     names = dict.fromkeys(name for row in rows for name in row)
@@ -426,24 +428,24 @@ def read_csv(path: Path, required: tuple[str, ...]) -> list[Row]:
     Returns
     -------
     list of dict
-        Rows by column name; all values are text.
+        Rows, keyed by column name; all values are text.
 
     Raises
     ------
     InputError
-        The file cannot be read, repeats a column, or lacks a required one.
+        The file cannot be read, repeats a column, or lacks a required column.
     """
     rows: list[Row] = list(read_csv_rows(path)[1])
     for name in required:
         if not rows or any(row.get(name) is None for row in rows):
             raise InputError(
-                f"file {path}: every row must have the columns {', '.join(required)}, got none, or one without {name}"
+                f"file {path}: every row must have the columns {', '.join(required)}, got none, or a row without {name}"
             )
     return rows
 
 
 def has_content(path: Path, content: bytes) -> bool:
-    """Return whether a file holds the given bytes.
+    """Return whether a file has the given content.
 
     Parameters
     ----------
@@ -455,7 +457,7 @@ def has_content(path: Path, content: bytes) -> bool:
     Returns
     -------
     bool
-        True if the SHA-256 of both is the same.
+        True if file and expected content have the same SHA-256.
 
     Raises
     ------
@@ -466,7 +468,7 @@ def has_content(path: Path, content: bytes) -> bool:
 
 
 def _hash_rows(rows: list[Row], cohort_sha256: str) -> str:
-    """Compute the SHA-256 of the rows of a record and of its cohort hash."""
+    """Compute one SHA-256 over the rows of a record and the hash of its cohort.json."""
     return hashlib.sha256(json.dumps([cohort_sha256, rows], sort_keys=True).encode()).hexdigest()
 
 
@@ -489,7 +491,7 @@ def record_path(folder: Path, knee: int) -> Path:
 
 
 def _find_difference(old: Any, new: Any, place: str = "") -> tuple[str, Any, Any]:
-    """Return where two JSON values first differ, with the value of each there."""
+    """Return the path of the first entry in which two JSON values differ, and both entries."""
     if isinstance(old, dict) and isinstance(new, dict):
         for name in [*new, *(n for n in old if n not in new)]:
             if old.get(name) != new.get(name):
@@ -504,7 +506,7 @@ def _find_difference(old: Any, new: Any, place: str = "") -> tuple[str, Any, Any
 
 
 def read_manifest(path: Path) -> "pd.DataFrame":
-    """Read the manifest of a cohort as a data frame; needs pandas, of the extra `study`.
+    """Read the manifest of a cohort as a data frame; this needs pandas (`study` extra).
 
     Parameters
     ----------
@@ -525,7 +527,7 @@ def read_manifest(path: Path) -> "pd.DataFrame":
 
     allowed = "manifest.csv of a cohort"
     text = read_text(path)
-    require_unique_columns(path, parse_csv_header(text))  # pandas would rename the second one.
+    require_unique_columns(path, parse_csv_header(text))  # pandas would rename a repeated column.
     table: pd.DataFrame = parse_text(path, io.StringIO(text), pd.read_csv, fault="not a manifest", allowed=allowed)
-    # pandas stores the columns separately, and warns if one is added to more than a hundred. A copy joins them.
+    # pandas stores the columns separately, and warns if a column is added to more than a hundred. A copy joins them.
     return table.copy()

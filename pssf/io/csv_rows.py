@@ -1,4 +1,4 @@
-"""CSV files given by a user: rows as text, with every column name unique."""
+"""Read CSV files of a user as text; every column name must be unique."""
 
 import csv
 import io
@@ -24,7 +24,7 @@ def read_csv_rows(path: Path) -> tuple[list[str], list[dict[str, str]]]:
     columns : list of str
         Column names in the order of the header; empty for an empty file.
     rows : list of dict of str to str
-        One row per line that is not empty. A short line has no entries for the missing columns.
+        One row per line that is not empty, keyed by column name. A short line has no entries for the missing columns.
 
     Raises
     ------
@@ -65,12 +65,14 @@ def parse_csv_header(text: str) -> list[str]:
 
 
 def require_unique_columns(path: Path, columns: Sequence[str]) -> None:
-    """Require that every column name of a header is unique, since one of two values would be lost without notice.
+    """Require that every column name of a header is unique.
+
+    A reader would silently lose one of two columns that have the same name.
 
     Parameters
     ----------
     path : Path
-        File to name in the message.
+        Path shown in error messages.
     columns : sequence of str
         Column names of the header.
 

@@ -1,4 +1,4 @@
-"""Conditions on result files: check that the files of a folder contain the required entries and values."""
+"""Check conditions on result files: the files of a folder must contain required entries and values."""
 
 import json
 import math
@@ -12,37 +12,36 @@ from .csv_rows import read_csv_rows
 
 
 def find_unmet_condition(folder: Path, conditions: str) -> str:
-    """Return the first of several conditions that a folder does not meet.
+    """Return the first condition that the files of a folder do not meet.
 
     Parameters
     ----------
     folder : Path
-        Folder that holds the files.
+        Folder of the files.
     conditions : str
         Conditions, separated by a semicolon and a space; see Notes.
 
     Returns
     -------
     str
-        First condition that is not met; empty if all are met.
+        First condition that is not met; empty if all conditions are met.
 
     Notes
     -----
     A condition has one of these forms::
 
-        FILE                   the file exists and is not empty; a pattern such as models/*.skops needs one such file
+        FILE                   the file exists and is not empty; a pattern such as models/*.skops needs one match
         FILE.html WORDS        the text of the page contains the words
         FILE.json KEY.KEY      the entry is neither null nor empty
         FILE.json KEY < X      the entry is a number below X
-        FILE.csv COLUMN        at least one row has a value, which is neither empty nor NaN
+        FILE.csv COLUMN        at least one row has a value that is neither empty nor NaN
         FILE.csv COLUMN = X    at least one row has the value X
         FILE.csv A+B unique    every row has values, and no combination of them is repeated
         FILE.csv COLUMN every  every row has a value
         FILE.csv COLUMN >= X   every row has a number of at least X
         FILE.csv COLUMN < X    every row has a number below X, where X is a number or another column of the same row
 
-    The suffix "but for COLUMN = X" exempts the rows that have the value X. A file that cannot be read meets no
-    condition.
+    The suffix "but for COLUMN = X" exempts the rows with the value X. An unreadable file meets no condition.
     """
     for condition in conditions.split("; "):
         file, _, asked = condition.partition(" ")
@@ -70,14 +69,14 @@ def _meets_condition(path: Path, condition: str) -> bool:
 
 
 def _find_entry(value: Any, keys: list[str]) -> Any:
-    """Return the entry of nested dictionaries under a list of keys; None if it is missing."""
+    """Return the entry of nested dictionaries at a path of keys; None if a key is missing."""
     for key in keys:
         value = value.get(key) if isinstance(value, dict) else None
     return value
 
 
 def _has_value(value: Any) -> bool:
-    """Return whether a value has content: 0 and False do; None, NaN, an empty text and an empty list do not."""
+    """Return whether a value has content; None, NaN, and an empty text, list or dict have none."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return False
     return not (isinstance(value, str | list | dict) and len(value) == 0)

@@ -1,14 +1,14 @@
-"""Recognition of image files by suffix or first bytes, and of files that a user did not create, such as locks."""
+"""Recognise image files by suffix or first bytes, and skip hidden files and lock files."""
 
 from pathlib import Path
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
-# Suffixes that archives and viewers give to DICOM files. Other files are recognised by their first bytes.
+# Suffixes that archives and viewers give to DICOM files. DICOM files without them are recognised by their first bytes.
 DICOM_SUFFIXES = (".dcm", ".dicom", ".dic", ".dc3", ".ima")
 SUFFIXES = (*PICTURE_SUFFIXES, *DICOM_SUFFIXES)
 # Hidden files, resource forks (._x), folders that macOS adds to archives, and locks of office programs (~$x).
 _HIDDEN_PREFIXES = (".", "__MACOSX", "~$")
-# Index file of a DICOM medium. It is DICOM, but holds no image.
+# Name of the index file of a DICOM medium, which is a DICOM file without an image.
 _DICOM_INDEX_NAME = "DICOMDIR"
 # DICOM PS3.10, 7.1: a preamble of 128 bytes is followed by these four characters.
 _MAGIC = b"DICM"
@@ -16,7 +16,7 @@ _PREAMBLE = 128  # length of the preamble, in bytes
 
 
 def is_dicom(path: Path) -> bool:
-    """Return whether a file is DICOM, by its suffix, or by its first bytes if the suffix is not that of an image.
+    """Return whether a file is DICOM, by its suffix, or by its first bytes if its suffix is unknown.
 
     Parameters
     ----------
@@ -26,7 +26,7 @@ def is_dicom(path: Path) -> bool:
     Returns
     -------
     bool
-        True for DICOM. DICOMDIR, the index of a DICOM medium, gives False.
+        True for DICOM. False for DICOMDIR, the index file of a DICOM medium.
 
     Raises
     ------
@@ -80,16 +80,16 @@ def list_files(folder: Path) -> list[Path]:
 
 
 def is_visible(path: Path) -> bool:
-    """Return whether a file or folder belongs to the user: not hidden, no resource fork and no lock file.
+    """Return whether a file or folder is neither hidden nor a resource fork nor a lock file.
 
     Parameters
     ----------
     path : Path
-        File or folder; only its name is used.
+        File or folder, of which only the name is used.
 
     Returns
     -------
     bool
-        True for the files and folders of the user.
+        True for files and folders that a user created.
     """
     return not path.name.startswith(_HIDDEN_PREFIXES)

@@ -1,4 +1,4 @@
-"""Standard label formats: landmarks as .pts files and as COCO keypoints."""
+"""Write landmarks in standard formats, as .pts files and as COCO keypoints, and read .pts files."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,20 +14,20 @@ Landmarks = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True, kw_only=True)
 class LabelledImage:
-    """One image and its landmarks.
+    """Image file with its landmarks and further labels.
 
     Attributes
     ----------
     file : str
-        File name within the image folder.
+        File name, relative to the image folder.
     rows : int
         Height of the image, in pixels.
     cols : int
         Width of the image, in pixels.
     landmarks_px : dict of str to (row, column) tuple
-        Landmark name to position, in pixels.
+        Landmark positions in pixels, keyed by landmark name.
     attributes : dict of str to float or None
-        Further labels, such as the KL grade. Entries that are None are not written.
+        Further labels, such as the KL grade, keyed by name. Entries that are None are not written.
     """
 
     file: str
@@ -40,14 +40,14 @@ class LabelledImage:
 def write_pts(path: Path, landmarks_px: Landmarks) -> Path:
     """Write landmarks as a .pts file, the format of the ISBI and BoneFinder annotations.
 
-    The file holds x and y in pixels, with row 0 at the top.
+    Each line has x and y of one landmark in pixels, with row 0 at the top of the image.
 
     Parameters
     ----------
     path : Path
         File to write.
     landmarks_px : dict of str to (row, column) tuple
-        Landmarks in the order in which they are written, in pixels.
+        Landmark positions in pixels, keyed by landmark name and written in the order of the dict.
 
     Returns
     -------
@@ -78,18 +78,18 @@ def read_pts(path: Path, names: Sequence[str]) -> dict[str, tuple[float, float]]
     Returns
     -------
     dict of str to (row, column) tuple
-        Landmark name to position, in pixels.
+        Landmark positions in pixels, keyed by landmark name.
 
     Raises
     ------
     InputError
-        The file cannot be read, is not a .pts file, or has another number of landmarks.
+        The file cannot be read, is not a .pts file, or has another number of landmarks than `names`.
     """
     try:
         lines = path.read_text(encoding="utf-8").split("{", 1)[1].split("}", 1)[0].split("\n")
         places = [tuple(map(float, line.split())) for line in lines if line.strip()]
     except (OSError, UnicodeDecodeError, IndexError, ValueError) as error:
-        raise InputError(f"file {path} must be a .pts file of landmarks as write_pts writes it, got {error}") from None
+        raise InputError(f"file {path} must be a .pts file of landmarks, got other content ({error})") from None
     if len(places) != len(names) or any(len(place) != 2 for place in places):
         raise InputError(f"file {path}: landmarks must be {len(names)}, each with x and y, got {len(places)}")
     return {name: (row, col) for name, (col, row) in zip(names, places, strict=True)}
@@ -105,7 +105,7 @@ def write_coco(path: Path, images: Sequence[LabelledImage]) -> Path:
     path : Path
         JSON file to write.
     images : sequence of LabelledImage
-        Images, all with the same landmarks in the same order.
+        Images with the same landmarks in the same order.
 
     Returns
     -------
@@ -150,8 +150,8 @@ def _make_annotation(
 ) -> dict[str, Any]:
     """Make the COCO annotation of one image.
 
-    `points` are (x, y) in pixels; `box` is left, top, width and height in pixels. COCO marks a landmark that is
-    labelled and visible with 2.
+    `points` are (x, y) in pixels; `box` is left, top, width and height in pixels. The
+    COCO visibility flag 2 marks a landmark as labelled and visible.
     """
     flat = [value for x, y in points for value in (round(x, 4), round(y, 4), 2)]
     annotation: dict[str, Any] = {"id": number, "image_id": number, "category_id": 1, "iscrowd": 0}
@@ -162,7 +162,7 @@ def _make_annotation(
 
 
 def _make_skeleton(names: Sequence[str]) -> list[list[int]]:
-    """List the pairs of neighbouring landmarks along the contour of each bone, counted from 1 as in COCO."""
+    """List the pairs of neighbouring landmarks along each bone contour; COCO counts landmarks from 1."""
     return [[k, k + 1] for k in range(1, len(names)) if _is_femoral(names[k - 1]) == _is_femoral(names[k])]
 
 

@@ -1,4 +1,4 @@
-"""Masks on disk: a TIFF with one page per mask, or a DICOM Segmentation with one segment per mask."""
+"""Read and write masks: a TIFF with one page per mask, or a DICOM Segmentation with one segment per mask."""
 
 import json
 import re
@@ -28,15 +28,15 @@ _PAGE_NAME_TAG = 285  # TIFF 6.0: PageName
 def save_masks(radiograph: Radiograph, path: str | Path) -> Path:
     """Write the masks of a radiograph as TIFF or DICOM Segmentation, by the suffix of the path.
 
-    Both files are lossless, and masks may overlap. A TIFF has one compressed page per mask, with its name and the
-    values 0 and 255. A Segmentation has one bit per pixel, and refers by its UIDs to the For Processing DICOM that
-    `save` writes for the same radiograph.
+    Both formats are lossless, and masks may overlap. A TIFF has one compressed page per mask, with the mask name and
+    the values 0 and 255. A Segmentation has one bit per pixel. Its UIDs refer to the For Processing DICOM that `save`
+    writes for the same radiograph.
 
     Parameters
     ----------
     radiograph : Radiograph
-        Radiograph simulated from one or two knees with ``keep=("masks",)``. The masks of two knees are named after
-        their side, such as right_femur and left_femur.
+        Radiograph simulated from one or two knees with ``keep=("masks",)``. The mask names of two knees begin with
+        the side, such as right_femur and left_femur.
     path : str or Path
         File to write, with suffix .tif, .tiff or .dcm.
 
@@ -48,12 +48,12 @@ def save_masks(radiograph: Radiograph, path: str | Path) -> Path:
     Raises
     ------
     InputError
-        The suffix is not supported, the radiograph has no masks, a mask has another size or a name that is not
-        allowed, the disk is full, or the file cannot be written.
+        The suffix is not supported, or the radiograph has no masks. A mask has another size than the radiograph, or a
+        name that is not allowed. The disk is full, or the file cannot be written.
 
     See Also
     --------
-    load_masks : Read the masks back.
+    load_masks : Read the masks from the file.
 
     Examples
     --------
@@ -101,7 +101,7 @@ def load_masks(path: str | Path) -> dict[str, NDArray[np.bool_]]:
     Returns
     -------
     dict of str to (rows, cols) bool array
-        Mask name to mask, in the order in which they were written.
+        Masks in the order in which they were written, keyed by mask name.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def load_masks(path: str | Path) -> dict[str, NDArray[np.bool_]]:
 
 
 def _collect_masks(radiograph: Radiograph) -> dict[str, NDArray[np.bool_]]:
-    """Return the masks of one knee, or of two knees with the side in the name; (rows, cols) bool each."""
+    """Return the masks of one knee, or of two knees with the side before the mask name; (rows, cols) bool each."""
     if radiograph.truth is not None:
         return dict(radiograph.truth.masks)
     return {

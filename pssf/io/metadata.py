@@ -1,6 +1,6 @@
-"""Metadata of a radiograph as JSON: parameters, ground truth, versions, and two hashes that reveal damage.
+"""Encode and decode the metadata of a radiograph as JSON: parameters, ground truth, versions and two hashes.
 
-One hash covers the metadata alone, for files without linear pixels. The other covers metadata and pixels.
+One hash covers the metadata alone, and verifies files without linear pixels. The other hash covers metadata and pixels.
 """
 
 import hashlib
@@ -24,19 +24,19 @@ from ..model.radiograph import Radiograph, Truth
 
 
 class LabelWarning(UserWarning):
-    """Warning that labels in a file do not belong to its radiograph and are left out."""
+    """Warning that labels in a file belong to another view and are left out."""
 
 
 class UnverifiedNotice(UserWarning):
-    """Warning that a file without a hash was read, so that damage to it cannot be detected."""
+    """Warning that a file has no hash, so damage to the file cannot be detected."""
 
 
-# Former name of a label to its current name.
+# Current names of labels, keyed by former name.
 _TRUTH_FIELDS = {"taking": "acquisition", "grade_read": "reader_grade"}
 
 
 class _TruthEntry(Record, frozen=True):
-    """Fields of `model.radiograph.Truth` in JSON, without the masks."""
+    """JSON fields of `model.radiograph.Truth`, without the masks."""
 
     jsw_medial_mm: float | None
     jsw_lateral_mm: float | None
@@ -50,7 +50,7 @@ class _TruthEntry(Record, frozen=True):
 
 
 class _MetadataEntry(Record, frozen=True):
-    """Metadata as read from JSON. Protocol and knees are checked when their objects are constructed."""
+    """JSON fields of the metadata. Protocol and knees are checked later, when their objects are constructed."""
 
     protocol: dict[str, Any]
     knee: dict[str, Any] | None
@@ -69,12 +69,12 @@ class _MetadataEntry(Record, frozen=True):
 
 
 def encode_metadata(radiograph: Radiograph, indent: int | None = None) -> str:
-    """Encode the metadata of a radiograph as JSON, with one hash over the metadata and one over metadata and pixels.
+    """Encode the metadata of a radiograph as JSON, with a hash over the metadata and a hash over metadata and pixels.
 
     Parameters
     ----------
     radiograph : Radiograph
-        Radiograph to describe.
+        Radiograph whose metadata are encoded.
     indent : int or None
         Spaces per level of indentation; None writes one line.
 
@@ -90,29 +90,29 @@ def encode_metadata(radiograph: Radiograph, indent: int | None = None) -> str:
 
 
 def decode_metadata(text: str, path: Path) -> dict[str, Any]:
-    """Decode metadata from the JSON of `encode_metadata`.
+    """Decode metadata from JSON that `encode_metadata` wrote.
 
     Parameters
     ----------
     text : str
         JSON text.
     path : Path
-        File of the text, to name in messages.
+        Path shown in error messages.
 
     Returns
     -------
     dict of str to object
-        Fields of `Radiograph`, without its pixels.
+        Fields of `Radiograph` except pixels, keyed by field name.
 
     Raises
     ------
     InputError
-        The text is no metadata of a radiograph, or a protocol or knee in it is invalid.
+        The text is not metadata of a radiograph, or contains an invalid protocol or knee.
 
     Warns
     -----
     LabelWarning
-        An earlier version wrote the file, and its joint space labels are left out.
+        An earlier version wrote the file, so the joint space labels are left out.
     """
     try:
         described = msgspec.convert(_update_names(json.loads(text)), _MetadataEntry)
@@ -135,7 +135,7 @@ def decode_metadata(text: str, path: Path) -> dict[str, Any]:
 
 
 def _update_names(entry: Any) -> Any:
-    """Replace the field names of an earlier version by current ones in metadata as parsed from JSON."""
+    """Replace field names of earlier versions by current names in parsed JSON metadata."""
     if not isinstance(entry, dict):
         return entry
     parts = {"protocol": PROTOCOL_FIELDS, "knee": KNEE_FIELDS, "knees": KNEE_FIELDS}
@@ -149,16 +149,16 @@ def _update_names(entry: Any) -> Any:
 
 
 def require_intact_radiograph(text: str, pixels: NDArray[Any], path: Path) -> None:
-    """Require that pixels and metadata are unchanged and belong to the same radiograph.
+    """Require that pixels and metadata of a file match their common hash.
 
     Parameters
     ----------
     text : str
-        JSON of `encode_metadata`.
+        JSON text that `encode_metadata` wrote.
     pixels : (rows, cols) uint16 array, DN
         Linear pixels of the same file.
     path : Path
-        File to name in the message.
+        Path shown in error messages.
 
     Raises
     ------
@@ -178,16 +178,17 @@ def require_intact_radiograph(text: str, pixels: NDArray[Any], path: Path) -> No
 
 
 def require_intact_metadata(text: str, path: Path, pixels: NDArray[Any] | None = None) -> None:
-    """Require that metadata are as they were written.
+    """Require that metadata match the hash that was written with them.
 
     Parameters
     ----------
     text : str
-        JSON of `encode_metadata`.
+        JSON text that `encode_metadata` wrote.
     path : Path
-        File to name in the message.
+        Path shown in error messages.
     pixels : (rows, cols) array, DN, or None
-        Linear pixels of the same file. They verify metadata that have no hash of their own. None: the file has none.
+        Linear pixels of the same file, which verify metadata that have no separate hash. None if the file has no linear
+        pixels.
 
     Raises
     ------
@@ -197,7 +198,7 @@ def require_intact_metadata(text: str, path: Path, pixels: NDArray[Any] | None =
     Warns
     -----
     UnverifiedNotice
-        An earlier version wrote no hash of the metadata alone, and there are no linear pixels.
+        The file has no linear pixels, and an earlier version wrote no hash of the metadata alone.
     """
     fields = json.loads(text)
     fields.pop("sha256")
@@ -211,18 +212,18 @@ def require_intact_metadata(text: str, path: Path, pixels: NDArray[Any] | None =
 
 
 def require_hash(path: Path, actual_sha256: str, expected_sha256: str, content: str) -> None:
-    """Require that the hash of a content is the one that was written with it.
+    """Require that the hash of a content equals the hash that the file records.
 
     Parameters
     ----------
     path : Path
-        File to name in the message.
+        Path shown in error messages.
     actual_sha256 : str
         Hash of the content that was read.
     expected_sha256 : str
-        Hash in the file.
+        Hash that the file records.
     content : str
-        Name of the content in the message, in the plural, such as "masks".
+        Name of the content in error messages, in the plural, such as "masks".
 
     Raises
     ------
@@ -232,17 +233,17 @@ def require_hash(path: Path, actual_sha256: str, expected_sha256: str, content: 
     if actual_sha256 != expected_sha256:
         raise InputError(
             f"file {path}: {content} must be as pssf wrote them (sha256 {expected_sha256[:12]}...), got "
-            f"{actual_sha256[:12]}...: the file is damaged or was edited; make it again"
+            f"{actual_sha256[:12]}...: the file is damaged or was edited; write it again"
         )
 
 
 def hash_masks(masks: Mapping[str, NDArray[np.bool_]]) -> str:
-    """Compute the SHA-256 of masks: names, sizes and pixels, in their order.
+    """Compute the SHA-256 over the names, sizes and pixels of masks, in the order of the dict.
 
     Parameters
     ----------
     masks : dict of str to (rows, cols) bool array
-        Mask name to mask.
+        Masks, keyed by mask name.
 
     Returns
     -------
@@ -261,7 +262,7 @@ def warn_unverified(path: Path, content: str) -> None:
     Parameters
     ----------
     path : Path
-        File to name in the warning.
+        Path shown in the warning.
     content : str
         Name of the content in the warning, in the plural, such as "masks".
 
@@ -271,8 +272,8 @@ def warn_unverified(path: Path, content: str) -> None:
         Always.
     """
     warnings.warn(
-        f"file {path}: its {content} have no hash, because an earlier version wrote it; damage cannot be detected; "
-        "save it again",
+        f"file {path}: its {content} have no hash, because an earlier version wrote the file; damage cannot be "
+        "detected; save the file again",
         UnverifiedNotice,
         stacklevel=4,
     )
@@ -315,13 +316,13 @@ def _build_truth_entry(truth: Truth) -> dict[str, Any]:
 
 
 def _make_truth(entry: _TruthEntry, path: Path) -> Truth:
-    """Construct a Truth from its JSON fields; leave out joint space labels that an earlier version wrote."""
+    """Construct a Truth from its JSON fields; leave out joint space labels of files of earlier versions."""
     fields = msgspec.structs.asdict(entry)
     fields["jsw_at_mm"] = {float(fraction): space for fraction, space in entry.jsw_at_mm.items()}
     if entry.jsw_medial_mm is not None and "medial_jsw_femur" not in entry.landmarks_px:
         warnings.warn(
-            f"file {path} was written by an earlier version, whose joint space labels belong to another view; they "
-            "are left out; simulate the knee again to get them",
+            f"file {path} was written by an earlier version, whose joint space labels belong to another view; the "
+            "labels are left out; simulate the knee again to get them",
             LabelWarning,
             stacklevel=2,
         )
@@ -331,13 +332,12 @@ def _make_truth(entry: _TruthEntry, path: Path) -> Truth:
 
 
 def _dump_json(fields: dict[str, Any], indent: int | None = None) -> str:
-    """Encode fields as JSON, with NumPy numbers as Python numbers."""
-    # Parameters may be NumPy numbers. They are written, and read back, as Python numbers.
+    """Encode fields as JSON; convert NumPy numbers to Python numbers."""
     return json.dumps(fields, indent=indent, default=lambda number: number.item())
 
 
 def _hash_text_and_pixels(text: str, pixels: NDArray[Any]) -> str:
-    """Compute the SHA-256 of a text and of linear pixels (rows, cols), DN."""
+    """Compute one SHA-256 over a text and linear pixels (rows, cols), DN."""
     digest = hashlib.sha256(text.encode())
     digest.update(np.ascontiguousarray(pixels, "<u2").tobytes())
     return digest.hexdigest()

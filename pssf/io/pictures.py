@@ -1,4 +1,4 @@
-"""Small pictures for display on a screen: previews, heat maps, captions and marked regions."""
+"""Make small pictures for display on a screen: previews, heat maps, captions and marked regions."""
 
 import io
 from collections.abc import Sequence
@@ -12,10 +12,10 @@ from ..detector import render_for_display
 from ..model.radiograph import Radiograph
 from .atomic_write import write_bytes
 
-# RGB from black over red to yellow. Each colour is lighter than the one before, so a grey print is readable too.
+# RGB colours from black over red to yellow. Each colour is lighter than the colour before it, also in a grey print.
 _HEAT_COLOURS = ((0, 0, 4), (40, 11, 84), (101, 21, 110), (159, 42, 99), (212, 72, 66), (245, 125, 21), (250, 193, 39))
 
-# Longer side of previews and of pictures with a marked region, in pixels.
+# Length of the longer edge of previews and of pictures with a marked region, in pixels.
 _MAX_SIDE_PX = 800
 
 
@@ -54,7 +54,7 @@ def write_image_row(images: Sequence[NDArray[np.uint8]], path: str | Path, gap_p
 
 
 def make_preview(radiograph: Radiograph) -> Image.Image:
-    """Make a picture of a radiograph with display processing, at most 800 pixels along its longer side.
+    """Make a picture of a radiograph with display processing, at most 800 pixels along its longer edge.
 
     Parameters
     ----------
@@ -119,11 +119,11 @@ def make_panel(image: NDArray[np.uint8], rows: int, cols: int, caption: str = ""
     image : (rows, cols) or (rows, cols, 3) uint8 array
         Grey or RGB image.
     rows : int
-        Height of the result, in pixels.
+        Height of the resized image, in pixels.
     cols : int
-        Width of the result, in pixels.
+        Width of the resized image, in pixels.
     caption : str
-        Caption; empty for none.
+        Caption; an empty text writes no caption.
 
     Returns
     -------
@@ -141,7 +141,7 @@ def make_panel(image: NDArray[np.uint8], rows: int, cols: int, caption: str = ""
 def draw_region(
     image: NDArray[np.uint8], centre_px: tuple[float, float], side_px: float, *, colour: str, caption: str = ""
 ) -> NDArray[np.uint8]:
-    """Draw a square region and a cross at its centre on an image, enlarged or reduced to 800 pixels.
+    """Draw a square region and a cross at its centre on an image, resized to 800 pixels along its longer edge.
 
     Parameters
     ----------
@@ -150,16 +150,16 @@ def draw_region(
     centre_px : (row, column) tuple of float
         Centre of the region, in pixels of `image`.
     side_px : float
-        Side of the region, in pixels of `image`.
+        Edge length of the region, in pixels of `image`.
     colour : str
-        Name of the line colour, as Pillow knows it.
+        Name of the line colour in Pillow, such as "red".
     caption : str
-        Caption; empty for none.
+        Caption; an empty text writes no caption.
 
     Returns
     -------
     (rows, cols, 3) uint8 array
-        RGB image whose longer side has 800 pixels.
+        RGB image whose longer edge has 800 pixels.
     """
     zoom = _MAX_SIDE_PX / max(image.shape)
     rows, cols = (max(1, round(length * zoom)) for length in image.shape)

@@ -1,6 +1,6 @@
-"""Radiographs on disk: TIFF and DICOM with linear pixels, PNG and DICOM for display, and parameters as JSON.
+"""Read and write radiographs: TIFF and DICOM with linear pixels, PNG and DICOM for display, parameters as JSON.
 
-Every file holds all parameters that the radiograph was made from.
+Every file contains all parameters of the simulation of the radiograph.
 """
 
 from collections.abc import Collection, Iterable, Iterator
@@ -28,7 +28,7 @@ from .metadata import (
     require_intact_radiograph,
 )
 
-# Intents that a file format can hold, the default first; see `save`.
+# Allowed intents of each file suffix, with the default first; see `save`.
 INTENTS = {
     ".tif": ("processing",),
     ".tiff": ("processing",),
@@ -37,7 +37,7 @@ INTENTS = {
 }
 SUFFIXES = tuple(INTENTS)
 BORDERS = ("none", "marked")
-# TIFF 6.0: ImageDescription, which holds the metadata.
+# TIFF 6.0: tag ImageDescription, which contains the metadata.
 _DESCRIPTION_TAG = 270
 _MARKER_ALLOWED = "none, except for a presentation image of one knee"
 # Formats that `save_formats` writes.
@@ -55,8 +55,8 @@ def save(
 ) -> Path:
     """Write a radiograph as TIFF (16 bit), DICOM Digital X-Ray (16 or 12 bit) or PNG (8 bit), by suffix.
 
-    Every file holds all parameters of the radiograph. The same radiograph gives the same bytes; DICOM UIDs are made
-    from the content.
+    Every file contains all parameters of the radiograph. The same radiograph gives the same bytes. DICOM UIDs are
+    derived from the content.
 
     Parameters
     ----------
@@ -66,13 +66,14 @@ def save(
         File to write, with suffix .tif, .tiff, .dcm or .png.
     intent : {"processing", "presentation"} or None
         "processing" writes the linear pixels, which `load` reads back. "presentation" writes an image with display
-        processing, bone bright. The words are those of DICOM, For Processing and For Presentation. A .tif holds the
-        first, a .png the second, a .dcm either. None means presentation for .png, and processing otherwise.
+        processing, bone bright. The words are those of DICOM, For Processing and For Presentation. A .tif has the
+        intent processing, a .png the intent presentation, a .dcm either. None means presentation for .png, and
+        processing otherwise.
     border : {"none", "marked"}
         "marked" adds the edge of the collimator and the side marker to a presentation image of one knee.
     processing : str, FlatPanelProcessing or ScreenFilm
-        Display processing of presentation images: "processed", "log" or "film", or one with other parameters; see
-        `render_for_display`. The file names it and its parameters.
+        Display processing of presentation images: "processed", "log" or "film", or an object with other parameters;
+        see `render_for_display`. The file records the processing and its parameters.
 
     Returns
     -------
@@ -82,13 +83,13 @@ def save(
     Raises
     ------
     InputError
-        The suffix, intent, border or display processing is not supported, the side marker has no space or no known
-        side, the disk is full, or the file cannot be written.
+        The suffix, intent, border or display processing is not supported. The side marker does not fit, or the side is
+        unknown. The disk is full, or the file cannot be written.
 
     See Also
     --------
-    load : Read a radiograph with linear pixels back.
-    load_parameters : Read the parameters of any file.
+    load : Read a radiograph with linear pixels.
+    load_parameters : Read the parameters from a file of any format.
 
     Examples
     --------
@@ -143,7 +144,7 @@ def save(
 
 
 def _select_marker_side(radiograph: Radiograph, intent: str, border: str, path: Path) -> str | None:
-    """Return the side whose marker a presentation image gets, or None for no marker."""
+    """Return the side that the marker of a presentation image shows, or None for no marker."""
     require_choice(f"file {path}: border", border, BORDERS)
     if border == "none":
         return None
@@ -160,7 +161,7 @@ def save_formats(
     border: str = "none",
     processing: str | FlatPanelProcessing | ScreenFilm = "processed",
 ) -> list[Path]:
-    """Write a radiograph in several formats side by side.
+    """Write a radiograph in several formats to files with the same stem.
 
     Parameters
     ----------
@@ -174,8 +175,8 @@ def save_formats(
     border : {"none", "marked"}
         Border of the presentation images; see `save`.
     processing : str, FlatPanelProcessing or ScreenFilm
-        Display processing of presentation images: "processed", "log" or "film", or one with other parameters; see
-        `render_for_display`.
+        Display processing of presentation images: "processed", "log" or "film", or an object with other parameters;
+        see `render_for_display`.
 
     Returns
     -------
@@ -208,30 +209,32 @@ def save_formats(
 
 
 def require_no_other_radiograph(radiograph: Radiograph, paths: Iterable[str | Path]) -> None:
-    """Require that existing files hold the same radiograph, before they are overwritten.
+    """Require that existing files contain the same radiograph, before they are overwritten.
 
     Parameters
     ----------
     radiograph : Radiograph
         Radiograph to be written.
     paths : iterable of str or Path
-        Files to be written; those that do not exist are skipped.
+        Files to be written; files that do not exist are skipped.
 
     Raises
     ------
     InputError
-        A file holds another radiograph, or was not written by this package.
+        A file contains another radiograph, or was not written by this package.
     """
     for path in map(Path, paths):
         if path.exists():
             made = load_parameters(path)
             for name in ("protocol", "knee", "knees", "scene", "surgery", "seed"):
                 if made[name] != getattr(radiograph, name):
-                    raise InputError(f"file {path} must be of this radiograph, got another {name}: delete it")
+                    raise InputError(
+                        f"file {path} must contain the same radiograph, got another {name}: delete the file"
+                    )
 
 
 def load(path: str | Path) -> Radiograph:
-    """Read a radiograph from a TIFF or DICOM that `save` wrote, with its linear pixels and all parameters.
+    """Read a radiograph, with linear pixels and all parameters, from a TIFF or DICOM that `save` wrote.
 
     Parameters
     ----------
@@ -241,18 +244,18 @@ def load(path: str | Path) -> Radiograph:
     Returns
     -------
     Radiograph
-        The same pixels, protocol, knee, seed, ground truth and audit, without masks; see `load_masks`.
+        Radiograph with the saved pixels, protocol, knee, seed, ground truth and audit. For masks see `load_masks`.
 
     Raises
     ------
     InputError
-        The file is missing, damaged, altered, was not written by this package, or is a DICOM For Presentation, whose
-        pixels are not linear.
+        The file is missing, damaged or altered, or was not written by this package. Or the file is a DICOM For
+        Presentation, whose pixels are not linear.
 
     See Also
     --------
     save : Write a radiograph.
-    load_parameters : Read the parameters of any file, presentation images among them.
+    load_parameters : Read the parameters from a file of any format, including presentation images.
 
     Examples
     --------
@@ -281,7 +284,7 @@ def load(path: str | Path) -> Radiograph:
 
 
 def load_parameters(path: str | Path) -> dict[str, Any]:
-    """Read the parameters that a radiograph on disk was made from.
+    """Read the parameters of the simulation of a radiograph from its file.
 
     Parameters
     ----------
@@ -291,8 +294,8 @@ def load_parameters(path: str | Path) -> dict[str, Any]:
     Returns
     -------
     dict of str to object
-        Fields of `Radiograph`, without its pixels: protocol, knee, knees, scene, surgery, seed, truth, truths, engine,
-        audit and versions. Meshes of implants and scenes are not in the file, only their hashes.
+        Fields of `Radiograph` except pixels, keyed by field name: protocol, knee, knees, scene, surgery, seed,
+        truth, truths, engine, audit and versions. Meshes of implants and scenes are not in the file, only their hashes.
 
     Raises
     ------
@@ -302,7 +305,7 @@ def load_parameters(path: str | Path) -> dict[str, Any]:
     Warns
     -----
     UnverifiedNotice
-        An earlier version wrote a PNG, JSON or DICOM For Presentation without a hash.
+        The file is a PNG, JSON or DICOM For Presentation that an earlier version wrote without a hash.
 
     See Also
     --------
@@ -343,10 +346,10 @@ def load_parameters(path: str | Path) -> dict[str, Any]:
 
 
 def _require_own_image(path: Path, wanted: str, kinds: tuple[str, ...]) -> None:
-    """Require that an image was written by this package and is of one of the kinds that can be read.
+    """Require that this package wrote an image, and that its format is one of `kinds`.
 
-    Files that are no image, and damaged ones, are left to the readers. The InputError names the function or command
-    that reads the file.
+    Damaged files and files that are not images are checked by the readers later. The InputError names the function or
+    command that reads the image.
     """
     kind, text = "", ""
     with suppress(Exception), Image.open(path) as image:  # A damaged file can fail anywhere in its reader.
@@ -389,7 +392,7 @@ def require_radiograph(radiograph: object) -> None:
 
 
 def require_suffix(path: Path, allowed: tuple[str, ...]) -> str:
-    """Require that the suffix of a file is one of those allowed.
+    """Require that a file has one of the allowed suffixes.
 
     Parameters
     ----------
@@ -421,11 +424,11 @@ def convert_read_errors(path: str | Path, allowed: str, fault: str = "damaged or
     Parameters
     ----------
     path : str or Path
-        File that is read inside the block.
+        File that the block reads; error messages show the path.
     allowed : str
         Description of a valid file, such as "a TIFF or DICOM by pssf".
     fault : str
-        Description of a file that the reader cannot read.
+        Description of an unreadable file, such as "damaged".
 
     Yields
     ------
@@ -435,7 +438,7 @@ def convert_read_errors(path: str | Path, allowed: str, fault: str = "damaged or
     Raises
     ------
     InputError
-        The path is no regular file, or the block raises any error.
+        The path is not a regular file, or the block raises any error.
     """
     try:
         require_regular_file(Path(path), allowed=allowed)
@@ -450,12 +453,12 @@ def convert_read_errors(path: str | Path, allowed: str, fault: str = "damaged or
 
 
 def save_parameters(radiograph: Radiograph, path: str | Path) -> Path:
-    """Write all parameters of a radiograph as JSON.
+    """Write all parameters of the simulation of a radiograph as JSON.
 
     Parameters
     ----------
     radiograph : Radiograph
-        Radiograph to describe.
+        Radiograph whose parameters are written.
     path : str or Path
         File to write.
 

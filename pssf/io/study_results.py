@@ -1,4 +1,4 @@
-"""Results of a study on disk: tables, JSON, pages and figures, each written completely or not at all."""
+"""Read and write the results of a study: tables, JSON, pages and figures."""
 
 import io
 import json
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 T = TypeVar("T")
-_REMEDY = "undamaged (delete it to have it made again)"
 
 
 def save_table(path: Path, table: "pd.DataFrame") -> None:
@@ -41,14 +40,14 @@ def save_table(path: Path, table: "pd.DataFrame") -> None:
 
 
 def load_table(path: Path, text_columns: tuple[str, ...] = ()) -> "pd.DataFrame | None":
-    """Read a CSV of `save_table`, exactly as it was saved.
+    """Read a CSV that `save_table` wrote, with the same values.
 
     Parameters
     ----------
     path : Path
         File to read.
     text_columns : tuple of str
-        Columns that hold text. All others hold floats, where an empty cell is NaN.
+        Columns of text. All other columns have floats, and an empty cell is NaN.
 
     Returns
     -------
@@ -69,16 +68,16 @@ def load_table(path: Path, text_columns: tuple[str, ...] = ()) -> "pd.DataFrame 
         require_unique_columns(path, parse_csv_header(text))
         table = pd.read_csv(io.StringIO(text), dtype=str, keep_default_na=False)
         numbers = table.columns.difference(text_columns)
-        # Python parses floats exactly. The result of pandas.read_csv depends on its version.
+        # Python parses floats exactly. The last digits of floats from pandas.read_csv depend on the version of pandas.
         table[numbers] = table[numbers].replace("", "nan").astype(float)
         return table
 
-    table: pd.DataFrame = parse_text(path, read_text(path), numbered, fault="damaged", allowed=_REMEDY)
+    table: pd.DataFrame = parse_text(path, read_text(path), numbered)
     return table
 
 
 def load_typed_table(path: Path) -> "pd.DataFrame":
-    """Read a CSV of `save_table` and infer the type of each column: integers, else floats, else text.
+    """Read a CSV that `save_table` wrote, and infer the type of each column: integers, else floats, else text.
 
     Parameters
     ----------
@@ -88,7 +87,7 @@ def load_typed_table(path: Path) -> "pd.DataFrame":
     Returns
     -------
     pandas.DataFrame
-        The table; floats are exactly as they were saved.
+        The table, with the same floats as were saved.
 
     Raises
     ------
@@ -147,7 +146,7 @@ def load_json(path: Path, kind: type[T]) -> T | None:
     Returns
     -------
     object of type `kind`, or None
-        The content; None if the file does not exist or holds something else.
+        The content; None if the file does not exist or has content of another type.
     """
     try:
         held: T = read_json(path, kind)
@@ -157,7 +156,7 @@ def load_json(path: Path, kind: type[T]) -> T | None:
 
 
 def save_json(path: Path, value: Any) -> None:
-    """Write a value as indented JSON, with keys in the given order.
+    """Write a value as indented JSON, with keys in the order of the value.
 
     Parameters
     ----------
@@ -193,7 +192,7 @@ def save_text(path: Path, text: str) -> None:
 
 
 def save_bytes(path: Path, content: bytes) -> None:
-    """Write the bytes of a figure or a model.
+    """Write the bytes of a figure or of a model file.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Files as bytes, for callers without a path: a radiograph, or the meshes of a scene."""
+"""Encode files as bytes for callers without a path: a radiograph, or the meshes of a scene."""
 
 import io
 import zipfile
@@ -19,7 +19,7 @@ def encode_radiograph(radiograph: Radiograph, kind: str) -> bytes:
     radiograph : Radiograph
         Radiograph to encode.
     kind : str
-        "tif", "dcm", "presentation.dcm" or "png" as `save` writes them, or "json" as `save_parameters` does.
+        Suffix of the file: "tif", "dcm", "presentation.dcm" or "png" (see `save`), or "json" (see `save_parameters`).
 
     Returns
     -------

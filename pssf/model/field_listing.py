@@ -18,7 +18,7 @@ from .knee import (
 from .protocol import Protocol, protocol_from_dict, protocol_to_dict
 
 T = TypeVar("T", bound=Knee | Protocol)
-# Kind of parameters -> dataclass.
+# Name of a parameter set -> its dataclass.
 _KINDS: dict[str, type[Knee] | type[Protocol]] = {"knee": Knee, "protocol": Protocol}
 
 
@@ -28,14 +28,14 @@ def list_fields(kind: str) -> list[dict[str, str]]:
     Parameters
     ----------
     kind : {"knee", "protocol"}
-        Which parameters to list.
+        Parameter set whose fields are listed.
 
     Returns
     -------
     list of dict of str to str
-        One row per field with the keys ``field``, ``what`` (its meaning), ``unit``, ``allowed``, ``default`` ("" if the
-        field is required) and ``source``. For a knee, the fields of its osteophytes and cysts and its shape scores
-        follow.
+        One row per field with the keys ``field``, ``what`` (meaning of the field), ``unit``, ``allowed``, ``default``
+        ("" if the field is required) and ``source``. For a knee, rows for the fields of osteophytes and cysts and for
+        the shape scores follow.
     """
     laws = load_field_specs(kind)
     rows = [
@@ -60,7 +60,7 @@ def _make_row(name: str, law: Any, default: str) -> dict[str, str]:
 
 
 def _format_default(field: Any) -> str:
-    """Write out the default of a dataclass field: "" if it is required, "none" for None."""
+    """Format the default of a dataclass field: "" if the field is required, "none" if the default is None."""
     return "" if field.default is MISSING else "none" if field.default is None else str(field.default)
 
 
@@ -70,9 +70,9 @@ def format_knee_template() -> str:
     Returns
     -------
     str
-        Text of the file; ``pssf simulate --knee FILE`` reads it.
+        Text of the file, which ``pssf simulate --knee FILE`` reads.
     """
-    lines = ["# A knee for `pssf simulate --knee FILE`. A field that is left out has the value shown here."]
+    lines = ["# A knee for `pssf simulate --knee FILE`. A missing field gets the value shown here."]
     given = knee_to_dict(Knee())
     for row in list_fields("knee"):
         if row["field"] not in load_field_specs("knee"):
@@ -81,7 +81,7 @@ def format_knee_template() -> str:
         lines += ["", f"# {row['what']}{unit}; {row['allowed']}"]
         value = given[row["field"]]
         shown = f'"{value}"' if isinstance(value, str) else value
-        # A field whose default is None, or is computed from other fields, is written as a comment.
+        # A field whose default is None is written as a comment, because TOML has no null value.
         computed = row["default"] == "none"
         lines.append(f"# {row['field']} = {0 if value is None else shown}" if computed else f"{row['field']} = {shown}")
     lines += [
@@ -104,8 +104,9 @@ def parse_settings(settings: Sequence[str]) -> tuple[dict[str, Any], dict[str, A
     Parameters
     ----------
     settings : sequence of str
-        Texts of the form ``FIELD=VALUE``. A field that both a knee and a protocol have is written ``knee.FIELD`` or
-        ``protocol.FIELD``. A value is written as in TOML; text needs no quotation marks, and ``none`` means no value.
+        Texts of the form ``FIELD=VALUE``. A field name that knee and protocol have in common is written ``knee.FIELD``
+        or ``protocol.FIELD``. A value is written as in TOML. Text needs no quotation marks, and ``none`` stands for
+        None.
 
     Returns
     -------
@@ -139,7 +140,7 @@ def parse_settings(settings: Sequence[str]) -> tuple[dict[str, Any], dict[str, A
 
 
 def _parse_value(text: str) -> Any:
-    """Read a value as TOML; return the text itself if it is not TOML."""
+    """Parse a value as TOML; return the text unchanged if it is not valid TOML."""
     try:
         return tomllib.loads(f"value = {text}")["value"]
     except (tomllib.TOMLDecodeError, RecursionError, ValueError):
@@ -147,19 +148,19 @@ def _parse_value(text: str) -> Any:
 
 
 def apply_settings(target: T, settings: dict[str, Any]) -> T:
-    """Replace some fields of a knee or of a protocol; all checks are made again.
+    """Replace some fields of a knee or of a protocol and check the result.
 
     Parameters
     ----------
     target : Knee or Protocol
-        The parameters to change.
+        Knee or protocol to change.
     settings : dict of str to object
-        Field and new value, as `parse_settings` returns them. The text ``none`` clears an optional field.
+        New value per field name, as returned by `parse_settings`. The text ``none`` sets an optional field to None.
 
     Returns
     -------
     Knee or Protocol
-        The changed copy; `target` itself if there is nothing to change.
+        Changed copy, or `target` itself if `settings` is empty.
 
     Raises
     ------
@@ -178,6 +179,6 @@ def apply_settings(target: T, settings: dict[str, Any]) -> T:
 
 
 def _parse_items(table: dict[str, Any]) -> dict[str, Any]:
-    """Convert tables of osteophytes and cysts to `Osteophyte` and `Cyst`; other values stay as they are."""
+    """Convert tables of osteophytes and cysts to `Osteophyte` and `Cyst`; leave other values unchanged."""
     whole = knee_from_dict(table, "set")
     return {name: getattr(whole, name) if isinstance(value, list) else value for name, value in table.items()}

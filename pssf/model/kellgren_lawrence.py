@@ -1,7 +1,7 @@
-"""Kellgren-Lawrence (KL) grades of an anatomy: the grade that follows from it, and the grades that it allows.
+"""Kellgren-Lawrence (KL) grades of a knee: the grade derived from its anatomy, and the grades that it allows.
 
-Kellgren and Lawrence (1957) define the grades in words and pictures. The numbers that replace the words are in
-``data/oarsi.toml``.
+Kellgren and Lawrence (1957) define the grades in words and pictures. The package uses numerical thresholds instead,
+which are in ``data/oarsi.toml``.
 """
 
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 # Compartments of the tibiofemoral joint.
 SIDES = ("medial", "lateral")
-# Joint margins, whose osteophytes count for the KL grade.
+# Joint margins. Only osteophytes at these sites affect the KL grade.
 MARGINS = ("medial_tibia", "medial_femur", "lateral_tibia", "lateral_femur")
 # Highest KL grade (Kellgren and Lawrence 1957).
 MAX_GRADE = 4
@@ -27,32 +27,33 @@ def largest_osteophyte_mm(knee: "Knee") -> float:
     Parameters
     ----------
     knee : Knee
-        The anatomy.
+        Knee with its anatomy.
 
     Returns
     -------
     float
-        Size in mm; 0 without a marginal osteophyte.
+        Size in mm; 0 if the knee has no marginal osteophyte.
     """
     return max((one.size_mm for one in knee.osteophytes if one.site in MARGINS), default=0.0)
 
 
 def narrowing_fraction(knee: "Knee", side: str, cuts: OarsiThresholds) -> float:
-    """Return the fraction of a healthy joint space that a compartment has lost.
+    """Compute the fraction of the healthy joint space width that a compartment has lost.
 
     Parameters
     ----------
     knee : Knee
-        The anatomy.
+        Knee with its anatomy.
     side : {"medial", "lateral"}
         Compartment.
     cuts : OarsiThresholds
-        Table with the healthy joint space of each compartment and sex.
+        Table with the healthy joint space width of each compartment and sex.
 
     Returns
     -------
     float
-        1 minus the joint space over the healthy one; negative if the joint space is wider than a healthy one.
+        1 minus the ratio of the joint space width to the healthy width; negative if the joint space is wider than
+        normal.
     """
     return 1 - float(getattr(knee, f"jsw_{side}_mm")) / cuts.healthy_jsw_mm(
         side, sex=knee.sex, jsw_definition=knee.jsw_definition
@@ -64,14 +65,14 @@ def derive_grade(knee: "Knee", cuts: OarsiThresholds) -> int:
 
     Grade 0 has neither osteophytes nor narrowing. Grade 1 has a doubtful osteophyte or doubtful narrowing. Grade 2 has
     a definite osteophyte. Grades 3 and 4 have a definite osteophyte with definite and severe narrowing. Severe
-    narrowing without a definite osteophyte is grade 3 or 4 too.
+    narrowing without a definite osteophyte is also grade 3 or 4.
 
     Parameters
     ----------
     knee : Knee
-        The anatomy.
+        Knee with its anatomy.
     cuts : OarsiThresholds
-        Sizes of osteophytes and fractions of lost joint space that separate the grades.
+        Thresholds of osteophyte size and joint space loss between the grades.
 
     Returns
     -------
@@ -89,14 +90,14 @@ def derive_grade(knee: "Knee", cuts: OarsiThresholds) -> int:
 
 
 def kl_grade(knee: "Knee", cuts: OarsiThresholds) -> int:
-    """Return the KL grade that a knee was sampled for, or the grade derived from its anatomy.
+    """Return the KL grade for which a knee was sampled, or the grade derived from its anatomy.
 
     Parameters
     ----------
     knee : Knee
-        The anatomy; `Knee.grade` is used if it is not None.
+        Knee with its anatomy. `Knee.grade` is used if it is not None.
     cuts : OarsiThresholds
-        Thresholds for the derived grade.
+        Thresholds of osteophyte size and joint space loss between the grades.
 
     Returns
     -------
@@ -109,22 +110,23 @@ def kl_grade(knee: "Knee", cuts: OarsiThresholds) -> int:
 def allowed_grades(knee: "Knee", cuts: OarsiThresholds) -> tuple[int, int]:
     """Return the lowest and the highest KL grade that do not contradict an anatomy.
 
-    Grades overlap: readers differ, and a sampled knee has the grade that it was sampled for. An anatomy excludes a
-    grade if no table of the package has such osteophytes or such a joint space in knees of that grade.
+    Grades overlap, because readers disagree and because a sampled knee keeps the grade for which it was sampled. An
+    anatomy excludes a grade if no grade table of the package contains its osteophytes or its joint space in knees of
+    that grade.
 
     Parameters
     ----------
     knee : Knee
-        The anatomy.
+        Knee with its anatomy.
     cuts : OarsiThresholds
-        Thresholds of osteophyte size and joint space loss.
+        Thresholds of osteophyte size and joint space loss between the grades.
 
     Returns
     -------
     low : int
-        Lowest KL grade that is allowed.
+        Lowest allowed KL grade.
     high : int
-        Highest KL grade that is allowed.
+        Highest allowed KL grade.
     """
     largest = largest_osteophyte_mm(knee)
     lost = max(narrowing_fraction(knee, side, cuts) for side in SIDES)
@@ -140,7 +142,8 @@ def allowed_grades(knee: "Knee", cuts: OarsiThresholds) -> tuple[int, int]:
 def require_grade(knee: "Knee") -> None:
     """Check that the KL grade of a knee does not contradict its anatomy.
 
-    A knee without a grade passes. So does a knee from a user's own grade table, which defines its grades itself.
+    Knees without a grade are not checked. Knees from a user's own grade table are not checked either, because the table
+    defines the meaning of its grades.
 
     Parameters
     ----------
@@ -150,7 +153,7 @@ def require_grade(knee: "Knee") -> None:
     Raises
     ------
     InputError
-        If the anatomy excludes the grade; the message names the allowed grades.
+        If the anatomy excludes the grade. The message names the allowed grades.
     """
     if knee.grade is None or (knee.grade_table is not None and knee.grade_table not in list_grade_tables()):
         return
@@ -163,5 +166,5 @@ def require_grade(knee: "Knee") -> None:
     )
     raise InputError(
         f"grade must be {low} to {high} for this anatomy (largest osteophyte {largest_osteophyte_mm(knee):g} mm, "
-        f"{lost}), got {knee.grade}: leave it out to have it derived, or use sample_knee(grade={knee.grade})"
+        f"{lost}), got {knee.grade}: omit grade to derive it from the anatomy, or use sample_knee(grade={knee.grade})"
     )

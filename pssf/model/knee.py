@@ -19,11 +19,12 @@ from .kellgren_lawrence import require_grade
 
 # Largest absolute score of a shape mode, in standard deviations from the population mean.
 MAX_SHAPE_SD = 3.0
-# Smallest distance between two osteophytes or cysts of one site, in units of `place`; nearer ones would merge.
+# Smallest distance between two osteophytes or cysts at the same site, in units of `place`. Closer ones would merge.
 MIN_POSITION_SPACING = 0.5
-# Maximum number of cysts: patients with more are rare, and an epiphysis has space for this many.
+# Maximum number of cysts. Patients with more cysts are rare, and this number still fits into an epiphysis.
 MAX_CYSTS = 6
-# The joint spaces of healthy subjects differ by this much, in mm (SD of one compartment 0.7 to 1 mm).
+# Difference between the medial and the lateral joint space above which the lateral compartment counts as narrowed, in
+# mm. Smaller differences also occur in healthy subjects (the SD of each compartment is 0.7 to 1 mm).
 _CLEAR_DIFFERENCE_MM = 1.0
 # Sites of osteophytes at the joint margins and on the tibial spines.
 MARGIN_AND_SPINE_SITES = (
@@ -38,7 +39,7 @@ MARGIN_AND_SPINE_SITES = (
 CENTRAL_SITES = ("medial_condyle", "lateral_condyle", "medial_plateau", "lateral_plateau")
 # All sites of osteophytes.
 OSTEOPHYTE_SITES = MARGIN_AND_SPINE_SITES + CENTRAL_SITES
-# Second word of a site -> bone.
+# Second word of a site name -> bone.
 BONE_OF_SITE_PART = {"femur": "femur", "condyle": "femur", "tibia": "tibia", "plateau": "tibia", "spine": "tibia"}
 # Largest size of a central osteophyte, in mm (assumed).
 _MAX_CENTRAL_SIZE_MM = 5.0
@@ -68,17 +69,18 @@ class Osteophyte:
     Parameters
     ----------
     site : str
-        Location: a margin (``medial_femur``, ``lateral_femur``, ``medial_tibia``, ``lateral_tibia``), a tibial spine
-        (``medial_spine``, ``lateral_spine``) or a joint surface (``medial_condyle``, ``lateral_condyle``,
-        ``medial_plateau``, ``lateral_plateau``).
+        Location: margin of a bone, tibial spine, or joint surface (condyle or plateau). Allowed: "medial_femur",
+        "lateral_femur", "medial_tibia", "lateral_tibia", "medial_spine", "lateral_spine", "medial_condyle",
+        "lateral_condyle", "medial_plateau", "lateral_plateau".
     size_mm : float
-        Height of its farthest point above the bone without osteophytes, 0.2 to 10 mm; at most 5 mm on a joint surface.
+        Height of the osteophyte above the original bone surface, at its farthest point; at most 5 mm on a joint
+        surface. Allowed: 0.2 to 10 mm.
     place : float, default 0
-        Position along the margin or across the joint surface: -1 is anterior, 1 posterior. At a margin, 0 is where the
-        bone extends farthest to the side. Must be 0 on a spine.
+        Position along the margin or across the joint surface: -1 is anterior, 1 posterior. At a margin, 0 is the most
+        medial or lateral point of the bone. Must be 0 on a tibial spine. Allowed: -1 to 1.
     curve_deg : float, default 0
-        Curvature of its edge towards the joint, -45 to 45 degrees; negative away from the joint. Must be 0 on a spine
-        and on a joint surface.
+        Curvature of the edge towards the joint; negative is away from the joint. Must be 0 on a tibial spine and on a
+        joint surface. Allowed: -45 to 45 degrees.
 
     Raises
     ------
@@ -99,7 +101,7 @@ class Osteophyte:
     place: float = 0.0
     curve_deg: float = 0.0
 
-    # Earlier names, for one version.
+    # Deprecated names, kept for one version.
     central = renamed_attribute("is_central")
     tallest_mm = renamed_attribute("max_size_mm")
 
@@ -123,7 +125,7 @@ class Osteophyte:
 
     @property
     def max_size_mm(self) -> float:
-        """Largest size that the site allows, in mm; infinite where only the general range applies."""
+        """Largest size allowed at the site, in mm; infinite if only the general range of `size_mm` applies."""
         return _MAX_CENTRAL_SIZE_MM if self.is_central else float("inf")
 
     @property
@@ -135,18 +137,18 @@ class Osteophyte:
 @check_keywords()
 @dataclass(frozen=True, kw_only=True)
 class Cyst:
-    """Subchondral cyst: a sphere of marrow density in a wall of compact bone, in the trabecular bone under the plate.
+    """Subchondral cyst: a sphere of marrow with a compact wall, in trabecular bone below the subchondral bone plate.
 
     Parameters
     ----------
     site : {"medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia"}
         Bone and compartment.
     diameter_mm : float
-        Diameter of the soft interior without its wall, 1.5 to 15 mm.
+        Diameter of the soft interior without the wall. Allowed: 1.5 to 15 mm.
     place : float, default 0
-        Position in the compartment from front to back: -1 is anterior, 0 the middle, 1 posterior.
+        Position in the compartment from front to back: -1 is anterior, 0 the middle, 1 posterior. Allowed: -1 to 1.
     outward : float, default 0.5
-        Position across the compartment: 0 is towards the notch, 1 towards the margin.
+        Position across the compartment: 0 is nearest to the notch, 1 nearest to the margin. Allowed: 0 to 1.
 
     Raises
     ------
@@ -169,107 +171,116 @@ class Cyst:
         check_fields("cyst", self)
 
 
-# Earlier name -> current name of a field.
+# Deprecated field name -> current field name.
 RENAMED_FIELDS = {"jsw_as": "jsw_definition", "grade_read": "reader_grade"}
 
 
 @check_keywords(**RENAMED_FIELDS)
 @dataclass(frozen=True, kw_only=True)
 class Knee:
-    """Parameters of one knee; the defaults describe a healthy right knee of a man of mean stature.
+    """Parameters of one knee; the defaults describe the healthy right knee of a man of mean stature.
 
     Parameters
     ----------
     side : {"right", "left"}, default "right"
-        Side of the body. A left knee is the mirror image of a right one in x.
+        Side of the body; a left knee is the mirror image of a right one in x.
     sex : {"male", "female"}, default "male"
         Sex, which selects the mean sizes.
     stature_mm : float, default 1755
-        Stature of the person, 1400 to 2100 mm; it scales the bones.
+        Stature of the person; it scales the bones. Allowed: 1400 to 2100 mm.
     jsw_medial_mm : float, default 5
-        Medial joint space width, 0 to 10 mm, measured as `jsw_definition` says.
+        Medial joint space width, measured according to jsw_definition. Allowed: 0 to 10 mm.
     jsw_lateral_mm : float, default 5
-        Lateral joint space width, 0 to 10 mm, measured as `jsw_definition` says.
+        Lateral joint space width, measured according to jsw_definition. Allowed: 0 to 10 mm.
     jsw_definition : {"projected", "read"}, default "projected"
-        Definition of both joint space widths. "projected" is the smallest vertical gap between the projected cortical
-        contours under the protocol ``reference``. "read" is the gap that readers measure, under ``fixed_flexion``: from
-        the contour of the femur to the line through the contour landmarks of the tibia. Medially this line follows the
+        Definition of both joint space widths. "projected": smallest vertical gap between the projected cortical
+        contours in the protocol reference. "read": gap that readers measure in the protocol fixed_flexion, from the
+        contour of the femur to the line through the contour landmarks of the tibia. Medially, the line follows the
         floor of the plateau.
     osteophytes : tuple of Osteophyte, default ()
-        Osteophytes; two of one site must be at least 0.5 apart in `Osteophyte.place`.
+        Osteophytes. Two osteophytes at the same site must differ by at least 0.5 in `Osteophyte.place`.
     subchondral_plate : float, default 1
-        Thickness of the subchondral bone plate relative to a healthy one, 0.5 to 2.5, on the `sclerotic_side`.
+        Thickness of the subchondral bone plate relative to a healthy plate, in the sclerotic compartment. This is the
+        narrowed compartment, or the medial one if neither is narrowed. Allowed: 0.5 to 2.5.
     varus_deg : float, default 0
-        Angle between the shafts of femur and tibia beyond the normal valgus of 5 degrees, -16 to 16; positive is varus.
+        Angle between the shafts of femur and tibia, relative to the normal valgus of 5 degrees; positive is varus.
+        Allowed: -16 to 16 degrees.
     flexion_deg : float, default 0
-        Flexion of the femur about the medio-lateral axis, 0 to 15 degrees.
+        Flexion of the knee: rotation of the femur about the mediolateral axis. Allowed: 0 to 15 degrees.
     rotation_deg : float, default 0
-        Rotation of the leg about its long axis, -10 to 10 degrees; positive is internal.
+        Rotation of the leg about its long axis; positive is internal. Allowed: -10 to 10 degrees.
     bone_scale : float, default 1
-        Size of the bones relative to the mean of sex and stature, 0.85 to 1.15.
+        Size of the bones relative to the mean for sex and stature. Allowed: 0.85 to 1.15.
     shape : tuple of float, default ()
         Scores of the modes of bone shape (``data/shapes.toml``), each -3 to 3 standard deviations from the population
-        mean. Scores that are left out are 0.
+        mean. Missing scores at the end are 0.
     form_seed : int, default 0
-        Seed, 0 to 2**63 - 1, of details finer than the modes of shape: position of spines and notch, curvature of the
-        lateral plateau, position of skin folds.
+        Seed of random details that the modes of bone shape do not describe: position of spines and notch, curvature of
+        the lateral plateau, position of skin folds. Allowed: 0 to 2**63 - 1.
     cortex_scale : float, default 1
-        Cortical thickness relative to the mean, 0.6 to 1.5.
+        Cortical thickness relative to the mean. Allowed: 0.6 to 1.5.
     tibial_slope_deg : float, default 5
-        Posterior slope of the tibial plateau, -2 to 18 degrees.
+        Posterior slope of the tibial plateau. Allowed: -2 to 18 degrees.
     lean_deg : float, default 3
-        Lean of the tibial shaft from upright on the radiograph, -15 to 15 degrees; positive moves the foot medially.
+        Angle of the tibial shaft from the vertical on the radiograph; positive moves the foot medially. Allowed: -15 to
+        15 degrees.
     fibular_tip_mm : float, default 12
-        Distance of the tip of the fibula below the middle of the plateau, 4 to 28 mm.
+        Distance from the middle of the plateau down to the tip of the fibula. Allowed: 4 to 28 mm.
     insall_salvati : float, default 1.14
-        Insall-Salvati ratio, length of the patellar tendon over length of the patella, 0.6 to 1.8.
+        Insall-Salvati ratio: length of the patellar tendon over length of the patella. Allowed: 0.6 to 1.8.
     patellar_shift_mm : float, default 3
-        Lateral distance of the middle of the patella from the middle of the femur, -10 to 15 mm.
+        Lateral distance from the middle of the femur to the middle of the patella. Allowed: -10 to 15 mm.
     patellar_tilt_deg : float, default 3
-        Rotation of the patella about its long axis, -15 to 20 degrees; positive moves its lateral edge backwards.
+        Rotation of the patella about its long axis; positive moves the lateral edge backwards. Allowed: -15 to 20
+        degrees.
     fabella_mm : float, default 0
-        Height of the fabella, 0 to 15 mm; 0 means no fabella.
+        Height of the fabella; 0 means no fabella. Allowed: 0 to 15 mm.
     bmi : float, default 27
-        Body mass index of the person, 15 to 50 kg/m2; it sets `limb_ap_mm` and `fat_mm` where they are None.
+        Body mass index of the person; it sets limb_ap_mm and fat_mm where they are None. Allowed: 15 to 50 kg/m2.
     limb_ap_mm : float, optional
-        Antero-posterior thickness of the limb at the joint, 90 to 180 mm. None: the mean at this BMI and sex.
+        Anteroposterior thickness of the limb at the joint. None: the mean for BMI and sex, which is 122 mm for men and
+        118 mm for women at a BMI of 28.6 and increases by 1.5 mm per kg/m2. Allowed: 90 to 180 mm.
     fat_mm : float, optional
-        Thickness of the subcutaneous fat on the medial and the lateral side, 2 to 40 mm. None: the mean at this BMI and
-        sex.
+        Thickness of the subcutaneous fat on the medial and the lateral side. None: the mean for BMI and sex, which is
+        10 mm for men and 12.5 mm for women at a BMI of 28.6 and increases by 0.8 and 1 mm per kg/m2. Allowed: 2 to 40
+        mm.
     age_years : float, default 55
-        Age, 18 to 100 years; the trabeculae become thinner with age.
+        Age of the person; the trabeculae become thinner with age. Allowed: 18 to 100 years.
     bone_density : float, default 1
-        Density of the trabecular bone relative to the mean of age and sex, 0.4 to 1.8.
+        Density of the trabecular bone relative to the mean for age and sex. Allowed: 0.4 to 1.8.
     texture_seed : int, default 0
-        Seed, 0 to 2**63 - 1, of the trabeculae, the unevenness of the cortex and the roughness of the bone. They stay
-        the same when other fields change.
+        Seed of the random trabeculae, cortical unevenness and surface roughness. They do not change when other fields
+        change. Allowed: 0 to 2**63 - 1.
     grade : int, optional
-        KL grade, 0 to 4, that the knee was sampled for. None: `Truth.grade` is derived from the anatomy.
+        KL grade for which the knee was sampled. None: Truth.grade is derived from the anatomy. Allowed: 0, 1, 2, 3, 4.
     grade_table : str, optional
-        Grade table that the knee was sampled from, 1 to 255 characters. None: the knee was specified by its fields.
+        Grade table from which the knee was sampled. None: the knee was specified by its fields. Allowed: text of 1 to
+        255 characters.
     reader_grade : int, optional
-        KL grade, 0 to 4, that a simulated reader gives, which may differ by one grade. None: no reader is simulated.
+        KL grade that a simulated reader gives, which may differ by one grade. None: no reader is simulated. Allowed: 0,
+        1, 2, 3, 4.
     cysts : tuple of Cyst, default ()
-        Subchondral cysts, at most 6; two of one site must be at least 0.5 apart in `Cyst.place`.
+        Subchondral cysts, at most 6. Two cysts at the same site must differ by at least 0.5 in `Cyst.place`.
     subluxation_mm : float, default 0
-        Displacement of the tibia relative to the femur, -6 to 6 mm; positive is lateral. Joint space widths do not
-        change.
+        Displacement of the tibia relative to the femur; positive is lateral. Joint space widths do not change. Allowed:
+        -6 to 6 mm.
     notch_growth_mm : float, default 0
-        Bone growth into the intercondylar notch, 0 to 3 mm: on its walls and roof, over the eminence and, less, on the
-        floors of the plateaus.
+        Bone growth into the intercondylar notch, on its walls, its roof and the eminence; growth on the floors of the
+        plateaus is less. Allowed: 0 to 3 mm.
     effusion_mm : float, default 0
-        Additional thickness of capsule, synovium and joint fluid compared with a healthy joint, 0 to 10 mm.
+        Additional thickness of capsule, synovium and joint fluid compared with a healthy joint. Allowed: 0 to 10 mm.
     skin_folds : float, default 0
-        Greatest depth of skin folds as a fraction of the thickness of the fat below them, 0 to 0.85; 0 means no folds.
+        Greatest depth of skin folds as a fraction of the thickness of the fat below them; 0 means no folds. Allowed: 0
+        to 0.85.
     mechanical_axis_deg : float, default 5.4
-        Angle from the shaft of the femur to its mechanical axis, which ends at the centre of the hip, 1 to 9 degrees.
-        The hip is outside the image: only the label ``hip_knee_ankle_deg`` depends on it.
+        Angle from the shaft of the femur to its mechanical axis, which ends at the centre of the hip. The hip is
+        outside the image, so only the label hip_knee_ankle_deg depends on this angle. Allowed: 1 to 9 degrees.
 
     Raises
     ------
     InputError
-        If a value is out of range (``data/knee_fields.toml``), two osteophytes or cysts of one site are too near each
-        other, or `grade` contradicts the anatomy (`kellgren_lawrence.allowed_grades`).
+        If a value is out of range (``data/knee_fields.toml``), two osteophytes or cysts at the same site are too close,
+        or `grade` contradicts the anatomy (`kellgren_lawrence.allowed_grades`).
 
     Examples
     --------
@@ -303,7 +314,7 @@ class Knee:
     patellar_tilt_deg: float = 3.0
     fabella_mm: float = 0.0
     bmi: float = 27.0
-    # None is replaced by the mean at this BMI and sex when the knee is constructed.
+    # None is replaced by the mean for the BMI and sex of the knee when the knee is constructed.
     limb_ap_mm: float = cast(float, None)
     fat_mm: float = cast(float, None)
     age_years: float = 55.0
@@ -319,7 +330,7 @@ class Knee:
     skin_folds: float = 0.0
     mechanical_axis_deg: float = 5.4
 
-    # Earlier names, for one version.
+    # Deprecated names, kept for one version.
     jsw_as = renamed_attribute("jsw_definition")
     grade_read = renamed_attribute("reader_grade")
 
@@ -340,16 +351,16 @@ class Knee:
 
     @property
     def sclerotic_side(self) -> str:
-        """Side with the thicker subchondral bone plate: "lateral" if clearly narrower there, else "medial"."""
+        """Sclerotic compartment: "lateral" if the lateral joint space is clearly narrower, else "medial"."""
         return "lateral" if self.jsw_medial_mm - self.jsw_lateral_mm > _CLEAR_DIFFERENCE_MM else "medial"
 
 
-# Fields that hold a tuple of parameters -> dataclass of one entry.
+# Name of a `Knee` field with a tuple of entries -> dataclass of the entries.
 _LIST_FIELDS: dict[str, type[Osteophyte] | type[Cyst]] = {"osteophytes": Osteophyte, "cysts": Cyst}
 
 
 def _require_spacing(name: str, items: Sequence[Osteophyte | Cyst]) -> None:
-    """Check that osteophytes or cysts of one site are far enough apart."""
+    """Check that osteophytes or cysts at the same site are far enough apart."""
     ordered = sorted(items, key=lambda item: (item.site, item.place))
     for one, other in pairwise(ordered):
         if one.site == other.site and other.place - one.place < MIN_POSITION_SPACING:
@@ -360,12 +371,12 @@ def _require_spacing(name: str, items: Sequence[Osteophyte | Cyst]) -> None:
 
 
 def require_shape_scores(scores: Any, modes: Sequence[ShapeMode]) -> tuple[float, ...]:
-    """Check the scores of a shape and return them without the zeros at the end.
+    """Check the scores of the modes of bone shape and remove zeros at the end.
 
     Parameters
     ----------
     scores : sequence of float
-        One score per mode of shape, in standard deviations; later modes may be left out.
+        One score per mode, in standard deviations; scores of later modes may be missing.
     modes : sequence of ShapeMode
         Modes of the shape model.
 
@@ -377,7 +388,7 @@ def require_shape_scores(scores: Any, modes: Sequence[ShapeMode]) -> tuple[float
     Raises
     ------
     InputError
-        If `scores` is no sequence, is longer than `modes`, or holds a value beyond 3 standard deviations or no number.
+        If `scores` is not a sequence, is longer than `modes`, or contains a value that is not a number from -3 to 3.
     """
     scores = scores.tolist() if hasattr(scores, "tolist") else scores  # A numpy array becomes a list.
     if not isinstance(scores, tuple | list) or len(scores) > len(modes):
@@ -398,7 +409,7 @@ def knee_from_dict(table: Mapping[str, Any], source_name: str = "knee") -> Knee:
     table : mapping of str to object
         Field and value; osteophytes and cysts are lists of tables.
     source_name : str, default "knee"
-        Name of the file or object, which begins every error message.
+        Name of the file or object, shown at the start of error messages.
 
     Returns
     -------

@@ -8,7 +8,7 @@ from ..data.table_records import Triple
 from .kellgren_lawrence import kl_grade, narrowing_fraction
 from .knee import Knee
 
-# Letters of bones and of sides in the variable names of the Osteoarthritis Initiative.
+# Letters of bones and of compartments in the variable names of the Osteoarthritis Initiative.
 _BONES = {"femur": "F", "tibia": "T"}
 _SIDES = {"medial": "M", "lateral": "L"}
 
@@ -23,25 +23,25 @@ def compute_oarsi_grades(
     knee : Knee
         The knee.
     attrition_mm : mapping of str to float
-        Depth worn off the medial and the lateral plateau, in mm, as in `Truth.attrition_mm`. Compartments that are left
-        out get no grade of attrition.
+        Depth worn off the medial and the lateral plateau, in mm, as in `Truth.attrition_mm`. Missing compartments get
+        no attrition grade.
     cuts : OarsiThresholds
         Lowest values of grades 1, 2 and 3.
     trabecular_bone : TrabecularBone
-        Fraction of the plate's sclerosis that each bone and side shows.
+        Table with the fraction of the plate thickening that each bone and compartment shows.
 
     Returns
     -------
     dict of str to int
         ``XRKL`` is the KL grade. Grades 0 to 3: ``XROS..`` osteophytes, ``XRJS.`` joint space narrowing, ``XRSC..``
-        sclerosis, ``XRATT.`` attrition. ``XRCY..`` is 1 with a subchondral cyst and 0 without. F or T stands for femur
-        or tibia, M or L for medial or lateral.
+        sclerosis, ``XRATT.`` attrition. ``XRCY..`` is 1 with a subchondral cyst and 0 without. Dots are letters: F for
+        femur or T for tibia, and M for medial or L for lateral.
 
     Notes
     -----
-    The grades describe the anatomy, not what is visible under a protocol. The thresholds are in ``data/oarsi.toml``;
-    the atlas grades by pictures, so the numbers are assumed. ``XRKL`` is the grade that the knee was sampled for, or
-    the grade derived from its anatomy (`kellgren_lawrence.kl_grade`).
+    The grades describe the anatomy, not what is visible under a protocol. The thresholds are in ``data/oarsi.toml``.
+    The OARSI atlas defines grades by pictures, so the thresholds are assumed. ``XRKL`` is the result of
+    `kellgren_lawrence.kl_grade`.
     """
     grades = {"XRKL": kl_grade(knee, cuts)}
     for bone, letter in _BONES.items():
@@ -63,5 +63,5 @@ def compute_oarsi_grades(
 
 
 def _grade_by_cuts(value: float, cuts: Triple) -> int:
-    """Count the thresholds that a value reaches: grade 0 to 3."""
+    """Grade a value from 0 to 3 by the number of thresholds that it reaches."""
     return sum(value >= cut for cut in cuts)

@@ -29,7 +29,7 @@ from .knee import Knee, Osteophyte, other_compartment
 
 # Longest time that `progress` simulates, in years.
 _MAX_YEARS = 40
-# Fields of which `true_change` reports the difference.
+# Fields whose difference `true_change` reports.
 _CHANGING_FIELDS = (
     "jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg", "notch_growth_mm", "effusion_mm", "age_years",
 )  # fmt: skip
@@ -37,11 +37,11 @@ _CHANGING_FIELDS = (
 
 @check_keywords()
 def progress(knee: Knee, years: float, rng: RNGLike) -> Knee:
-    """Simulate the progression of a knee over some years; nothing heals.
+    """Simulate the progression of osteoarthritis in a knee over some years, without any improvement.
 
-    No joint space becomes wider and no osteophyte smaller. Bone shape, size, pose, limb, cysts and texture seed stay
-    the same. The annual rates are sampled before `years` is used, so that a knee with a given seed has one course.
-    Different `years` with the same seed are visits on this course.
+    No joint space becomes wider and no osteophyte becomes smaller. Bone shape, size, pose, limb, cysts and texture seed
+    do not change. The annual rates depend on the seed and not on `years`. Calls with the same seed and different
+    `years` therefore give visits of one consistent course.
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ def progress(knee: Knee, years: float, rng: RNGLike) -> Knee:
     Returns
     -------
     Knee
-        Knee at the later visit. It has a KL grade only if the first knee has one.
+        Knee at the later visit. Its `grade` is None if the `grade` of the first knee is None.
 
     Raises
     ------
     InputError
-        If `knee` is no Knee, `years` is out of range or leads beyond the highest age, or `rng` is neither an integer
+        If `knee` is not a Knee, `years` is out of range, the final age is out of range, or `rng` is neither an integer
         nor a Generator.
 
     Notes
@@ -110,7 +110,7 @@ def progress(knee: Knee, years: float, rng: RNGLike) -> Knee:
         return later
     low, high = allowed_grades(later, cuts)
     stepped = knee.grade + _derive_structural_grade(later, law.step, cuts, definite_mm) - stage
-    # The grade never decreases, since nothing heals.
+    # The grade never decreases, because the model has no improvement.
     grade = min(MAX_GRADE, max(knee.grade, low, min(stepped, high)))
     read = None if knee.reader_grade is None else min(MAX_GRADE, knee.reader_grade + grade - knee.grade)
     return replace(later, grade=grade, reader_grade=read)
@@ -128,13 +128,14 @@ def true_change(before: Knee, after: Knee) -> dict[str, float]:
     -------
     dict of str to float
         Value at the second visit minus value at the first one, per field that `progress` changes: joint spaces,
-        subchondral bone plate, varus, growth into the notch, effusion and age. Also ``largest_osteophyte_mm`` and
-        ``osteophyte_count``, and ``grade_change`` in KL grades if both knees have a grade.
+        subchondral bone plate, varus, growth into the notch, effusion and age. The mapping also has the changes
+        ``largest_osteophyte_mm`` and ``osteophyte_count``, and ``grade_change`` in KL grades if both knees have a
+        grade.
 
     Raises
     ------
     InputError
-        If one of the two is no Knee.
+        If an argument is not a Knee.
 
     Examples
     --------
@@ -160,7 +161,8 @@ class _ProgressionRates:
     """Sampled annual rates of one knee.
 
     `growth_factors` has shape (osteophytes + 4,): one factor of the growth rate per existing osteophyte, then one per
-    joint margin. `onset_years` has shape (4,): the time at which an osteophyte appears at each margin that has none.
+    joint margin. `onset_years` has shape (4,): the time at which an osteophyte appears at each margin. It is used only
+    at margins without an osteophyte.
     """
 
     narrowing_side: str
@@ -178,8 +180,8 @@ def _sample_progression_rates(
 ) -> _ProgressionRates:
     """Sample the annual rates of a knee of a KL grade.
 
-    `lost_fraction` is the fraction of a healthy joint space that each side has lost already. At or above
-    the grade that the table names, the side that has lost more keeps narrowing.
+    `lost_fraction` is the fraction of the healthy joint space that each compartment has lost at the first visit. From
+    the KL grade `narrowed_side_known_from_grade` on, the compartment with the greater loss continues to narrow.
     """
     drawn = "medial" if rng.random() < law.medial else "lateral"
     narrower = max(SIDES, key=lambda side: lost_fraction[side])
@@ -197,7 +199,7 @@ def _sample_progression_rates(
 
 
 def _sample_gamma(law: Pair, rng: np.random.Generator) -> float:
-    """Sample a gamma distribution of a given mean and standard deviation."""
+    """Sample a gamma distribution with a given mean and standard deviation."""
     mean, sd = law
     return float(rng.gamma((mean / sd) ** 2, sd**2 / mean))
 
@@ -219,12 +221,12 @@ def _grow_osteophytes(
 
 
 def _increase_up_to(value: float, increase: float, maximum: float) -> float:
-    """Add an increase to a value, but not beyond a maximum; a value above the maximum stays as it is."""
+    """Add an increase to a value up to a maximum; a value already above the maximum does not change."""
     return round(max(value, min(maximum, value + increase)), 4)
 
 
 def _derive_structural_grade(knee: Knee, step: ProgressionThresholds, cuts: OarsiThresholds, definite_mm: float) -> int:
-    """Derive the KL grade of an anatomy in which osteophytes of at least `definite_mm` are definite."""
+    """Derive the KL grade of a knee, where osteophytes of at least `definite_mm` are definite."""
     largest = largest_osteophyte_mm(knee)
     if largest < definite_mm:
         return int(largest >= step.doubtful_mm)
@@ -233,12 +235,12 @@ def _derive_structural_grade(knee: Knee, step: ProgressionThresholds, cuts: Oars
 
 
 def _jsw_mm(knee: Knee, side: str) -> float:
-    """Return the joint space width of a side, in mm."""
+    """Return the joint space width of a compartment, in mm."""
     return float(getattr(knee, f"jsw_{side}_mm"))
 
 
 def _clip_to_range(value: float, law: FieldSpec) -> float:
-    """Limit a value to the range of its field."""
+    """Clip a value to the range of its field."""
     bounds = law.range
     assert bounds is not None
     return round(min(max(value, bounds[0]), bounds[1]), 4)

@@ -1,4 +1,4 @@
-"""Protocol of a radiograph: technique, geometry, detector, and the stages of the simulation that are run."""
+"""Protocol of a radiograph: technique, geometry, detector, and the enabled stages of the simulation."""
 
 import math
 from dataclasses import asdict, dataclass, fields, replace
@@ -11,17 +11,17 @@ from ..data.data_files import read_protocol_fields
 from ..data.knees.field_definitions import check_fields
 
 # Rotation of a leg per projection: axis (0 is x, 2 is z) and angle in degrees, before the knee is mirrored in y. ML and
-# LM turn the lateral side of a right leg to the detector, axial turns its foot there.
+# LM turn the lateral side of a right leg to the detector, and axial turns the foot to the detector.
 _VIEW_ROTATIONS = {"AP": (2, 0.0), "PA": (2, 0.0), "ML": (2, -90.0), "LM": (2, -90.0), "axial": (0, -90.0)}
 
-# Largest tangent from the central ray to the edge of the field, as a fraction of the tangent of the anode angle
-# (assumed: nearer to the cut-off, the intensity is below two fifths of that on the central ray).
+# Largest tangent of the angle from the central ray to the edge of the field, as a fraction of the tangent of the anode
+# angle. Assumed: closer to the cut-off, the intensity is below two fifths of the intensity on the central ray.
 _MAX_CUT_OFF_FRACTION = 0.95
 
 
 @dataclass(frozen=True, kw_only=True)
 class Posture:
-    """Posture of a leg in front of the detector; by default it is straight and seen from the front.
+    """Posture of a leg in front of the detector; by default the leg is straight and imaged from the front.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Posture:
 
     @property
     def mirror_y(self) -> float:
-        """Factor of y: -1 if the image shows the knee from the other side of the detector, else 1."""
+        """Factor by which y is multiplied: -1 for projections that mirror the knee in y (PA, LM and axial), else 1."""
         return -1.0 if self.projection in ("PA", "LM", "axial") else 1.0
 
     @property
@@ -55,104 +55,110 @@ class Posture:
 
     @property
     def is_frontal(self) -> bool:
-        """True for AP and PA, which show the tibiofemoral joint space and the contour landmarks from the front."""
+        """True for AP and PA, which show the tibiofemoral joint space in the frontal plane."""
         return self.view_rotation == _VIEW_ROTATIONS["AP"]
 
 
-# Earlier name -> current name of a field.
+# Deprecated field name -> current field name.
 RENAMED_FIELDS = {"apart_mm": "knee_distance_mm"}
 
 
 @check_keywords(**RENAMED_FIELDS)
 @dataclass(frozen=True, kw_only=True)
 class Protocol:
-    """Technique, geometry and detector of a radiograph, and the stages of its simulation.
+    """Technique, geometry and detector of a radiograph, and the enabled stages of its simulation.
 
     Parameters
     ----------
     name : str
-        Name, which is part of the names of files: 1 to 64 letters, digits, "_" and "-".
+        Name of the protocol, used in file names. Allowed: 1 to 64 letters, digits, _ and -.
     tube_kv : float
-        Peak tube voltage, 40 to 120 kV.
+        Peak tube voltage. Allowed: 40 to 120 kV.
     mas : float
-        Tube current times exposure time, 0 to 500 mAs; 0 gives no exposure.
+        Tube current times exposure time; 0 gives no exposure. Allowed: 0 to 500 mAs.
     filtration_mm_al : float
-        Total filtration, 0.5 to 40 mm of aluminium.
+        Total filtration. Allowed: 0.5 to 40 mm Al.
     anode_angle_deg : float
-        Angle of the tungsten anode, 6 to 22 degrees.
+        Angle of the tungsten anode. Allowed: 6 to 22 degrees.
     focal_spot_mm : float
-        Side of the square focal spot, 0 to 3 mm; 0 is a point source without focal-spot blur.
+        Side of the square focal spot; 0 is a point source without focal-spot blur. Allowed: 0 to 3 mm.
     sdd_mm : float
-        Distance from the source to the detector, 500 to 3000 mm.
+        Distance from the source to the detector. Allowed: 500 to 3000 mm.
     sod_mm : float
-        Distance from the source to the middle of the joint, 300 to 2900 mm; must be less than `sdd_mm`.
+        Distance from the source to the centre of the joint; must be less than sdd_mm. Allowed: 300 to 2900 mm.
     beam_angle_deg : float
-        Tilt of the source about the x axis, -30 to 30 degrees; positive points caudally. It is measured from the
-        direction that `beam_along` sets.
+        Rotation of the source about the x axis, relative to the direction set by beam_along; positive angles point the
+        beam caudally. Allowed: -30 to 30 degrees.
     rows : int
-        Rows of the detector, 1 to 8192 pixels.
+        Rows of the detector. Allowed: 1 to 8192 pixels.
     cols : int
-        Columns of the detector, 1 to 8192 pixels.
+        Columns of the detector. Allowed: 1 to 8192 pixels.
     pixel_mm : float
-        Pixel pitch of the detector, 0.001 to 50 mm.
+        Pixel pitch of the detector. Allowed: 0.001 to 50 mm.
     mono_kev : float, optional
-        Single photon energy instead of the spectrum of the tube, 5 to 150 keV, with 1e6 photons per mm2 and mAs at 1 m.
-        None: the spectrum of the tube.
+        Photon energy of a monochromatic beam with 1e6 photons per mm2 and mAs at 1 m, which replaces the tube spectrum.
+        None: the tube spectrum. Allowed: 5 to 150 keV.
     heel : {"none", "anode_proximal", "anode_distal"}, default "none"
-        Heel effect: the intensity falls towards the anode, which is proximal or distal.
+        Heel effect: the intensity decreases towards the anode, which is at the proximal or the distal end.
     projection : {"AP", "PA", "ML", "LM", "axial"}, default "AP"
         Direction of the beam. The detector is behind the knee (AP), in front of it (PA), lateral (ML), medial (LM) or
         distal to it (axial).
     flexion_deg : float, default 0
-        Flexion that the posture adds to the knee's own flexion, 0 to 60 degrees.
+        Flexion added by positioning to the knee's own flexion. Allowed: 0 to 60 degrees.
     tibia_forward_deg : float, default 0
-        Forward lean of the tibia from upright, seen from the side, -15 to 45 degrees. Axial: angle of the tibia from
-        the beam; positive moves the foot backwards.
+        Forward lean of the tibia from the vertical, seen from the side. In axial projection: angle between tibia and
+        beam; positive moves the foot backwards. Allowed: -15 to 45 degrees.
     rotation_deg : float, default 0
-        Rotation of the leg about its long axis that the posture adds to the knee's own, -20 to 20 degrees; positive is
-        internal.
+        Rotation of the leg about its long axis, added by positioning to the knee's own rotation; positive is internal.
+        Allowed: -20 to 20 degrees.
     tilt_deg : float, default 0
-        Lean of the leg in the plane of the radiograph that the posture adds to the knee's own, -15 to 15 degrees;
-        positive moves the foot medially.
+        Lean of the leg in the plane of the radiograph, added by positioning to the knee's own lean; positive moves the
+        foot medially. Allowed: -15 to 15 degrees.
     knee_distance_mm : float, default 0
-        Distance between the knees when both are imaged together, 0 to 350 mm; 0 images one knee.
+        Distance between the two knees of a bilateral radiograph; 0 images one knee. Allowed: 0 to 350 mm.
     beam_along : {"horizontal", "medial_plateau"}, default "horizontal"
         Reference direction of the beam. "medial_plateau" aligns it with the medial plateau of each knee, as under
         fluoroscopy: the front and back margins of the plateau coincide.
     centre_x_mm : float, default 0
-        Position of the central ray in the joint plane, -150 to 150 mm from the middle of the knee, positive to the
-        right of the radiograph.
+        Horizontal distance from the middle of the knee to the central ray, in the joint plane; positive is to the right
+        of the radiograph. Allowed: -150 to 150 mm.
     centre_z_mm : float, default 0
-        Position of the central ray in the joint plane, -150 to 150 mm from the joint line, positive upwards.
+        Vertical distance from the joint line to the central ray, in the joint plane; positive is upwards. Allowed: -150
+        to 150 mm.
     field_width_mm : float, default 0
-        Width of the collimated field on the detector about the central ray, 0 to 3000 mm; 0 opens it to the edge of the
-        detector.
+        Width of the collimated field on the detector about the central ray; 0 irradiates the detector up to its edge.
+        Allowed: 0 to 3000 mm.
     field_height_mm : float, default 0
-        Height of the collimated field, 0 to 3000 mm; 0 opens it to the edge of the detector.
+        Height of the collimated field on the detector about the central ray; 0 irradiates the detector up to its edge.
+        Allowed: 0 to 3000 mm.
     marker : {"none", "R", "L"}, default "none"
         Lead letter on the cover of the detector: R on the left of the radiograph, L on the right.
     texture : {"trabecular", "none"}, default "trabecular"
-        Trabecular texture. "none" gives the trabecular bone one density throughout.
+        Trabecular texture. "none" gives the trabecular bone a uniform density.
     focal_spot : {"blur", "sampled"}, default "blur"
-        Model of the focal spot. "blur" blurs the whole image as at the joint plane. "sampled" casts rays from 3 x 3
-        points of the spot, which is correct at every depth.
+        Model of focal-spot blur. "blur" applies the blur of the joint plane to the whole image. "sampled" casts rays
+        from 3 x 3 points of the focal spot, which is correct at every depth.
     scatter : {"kernel", "monte_carlo", "none"}, default "kernel"
-        Model of scattered radiation. "kernel" is calibrated and fast. "monte_carlo" follows photons through the voxels
-        of the scene and takes some 20 s.
+        Model of scattered radiation. "kernel" is fast and fitted to Monte Carlo results. "monte_carlo" transports
+        photons through the voxels of the scene and takes about 20 s.
     scatter_photons : int, default 20_000_000
-        Photons that "monte_carlo" follows, 32 to 1e12; its error falls with the square root of their number.
+        Number of photons of the model "monte_carlo"; the statistical error decreases with the square root of this
+        number. Allowed: 32 to 1e+12.
     grid_ratio : float, default 0
-        Ratio of a moving anti-scatter grid, height of the strips over the gap between them, 0 to 20; 0 is no grid.
+        Grid ratio of a moving anti-scatter grid: height of the lead strips divided by the distance between them; 0 is
+        no grid. Allowed: 0 to 20.
     grid_lines_per_cm : float, default 40
-        Strips of the grid per cm, 20 to 120; each is 0.05 mm of lead, with aluminium between them.
+        Number of grid strips per cm; strips are 0.05 mm of lead with aluminium between them. Allowed: 20 to 120
+        lines/cm.
     detector : {"csi", "gos"}, default "csi"
-        Detector: a caesium iodide panel, or a thinner gadolinium oxysulphide screen (``data/detector.toml``).
+        Detector type. "csi" is a caesium iodide flat panel, "gos" a gadolinium oxysulphide screen with less mass.
     detector_blur : {"mtf", "none"}, default "mtf"
-        Detector blur, by the presampled MTF of the detector.
+        Detector blur. "mtf" applies the presampled modulation transfer function (MTF) of the detector.
     dead_pixels : float, default 0
-        Fraction of pixels without signal, 0 to 0.1; they are the same in every exposure with this detector.
+        Fraction of pixels without signal; the dead pixels are the same in every exposure with the same detector.
+        Allowed: 0 to 0.1.
     noise : {"quantum", "none"}, default "quantum"
-        Noise. "quantum" is Poisson noise of the absorbed photons and readout noise.
+        Noise model. "quantum" adds Poisson noise of the absorbed photons and readout noise.
 
     Raises
     ------
@@ -210,7 +216,7 @@ class Protocol:
     dead_pixels: float = 0.0
     noise: str = "quantum"
 
-    # Earlier names, for one version.
+    # Deprecated names, kept for one version.
     apart_mm = renamed_attribute("knee_distance_mm")
 
     def __post_init__(self) -> None:
@@ -223,7 +229,7 @@ class Protocol:
             self._check_heel()
 
     def _check_lateral_or_axial(self) -> None:
-        """Check that no field is set that only a frontal view (AP or PA) can have."""
+        """Check that fields for frontal views (AP and PA) have their defaults."""
         if self.beam_along != "horizontal":
             raise InputError(
                 f"beam_along must be 'horizontal' with projection = {self.projection!r}, got {self.beam_along!r}: only "
@@ -236,7 +242,7 @@ class Protocol:
             )
 
     def _check_heel(self) -> None:
-        """Check that the field does not reach beyond the emission of the anode, where the intensity falls to zero."""
+        """Check that the anode does not cut off the field, where the intensity would fall to zero."""
         least_deg = math.degrees(math.atan(self.field_edge_tangent / _MAX_CUT_OFF_FRACTION))
         if self.anode_angle_deg < least_deg:
             raise InputError(
@@ -248,23 +254,23 @@ class Protocol:
     def field_edge_tangent(self) -> float:
         """Tangent of the angle from the central ray to the upper and lower edge of the field."""
         whole_mm = self.rows * self.pixel_mm
-        # Half of the penumbra lies outside the collimated field on each side; it is less than 15 mm wide.
+        # Half of the penumbra is outside the collimated field on each side; this half is less than 15 mm wide.
         lit_mm = min(whole_mm, 1.1 * self.field_height_mm + 30.0) if self.field_height_mm > 0 else whole_mm
         return lit_mm / 2 / self.sdd_mm
 
     def resample(self, matrix: int) -> "Protocol":
-        """Change the number of pixels and keep the size of the field; the pixel pitch follows.
+        """Change the number of pixels and the pixel pitch, and keep the size of the detector.
 
         Parameters
         ----------
         matrix : int
-            Pixels along the longer side of the detector, 1 to 8192. The shorter side keeps its length to within half a
-            pixel.
+            Number of pixels along the longer side of the detector, 1 to 8192. The length of the shorter side changes by
+            at most half a pixel.
 
         Returns
         -------
         Protocol
-            The same protocol with other `rows`, `cols` and `pixel_mm`.
+            Copy of the protocol with new `rows`, `cols` and `pixel_mm`.
 
         Raises
         ------
@@ -285,7 +291,7 @@ class Protocol:
 
     @property
     def posture(self) -> Posture:
-        """Posture of a leg under the protocol."""
+        """Posture of the leg that the protocol sets."""
         return Posture(**{field.name: getattr(self, field.name) for field in fields(Posture)})
 
 
@@ -295,9 +301,9 @@ def protocol_from_dict(table: dict[str, Any], source_name: str) -> Protocol:
     Parameters
     ----------
     table : dict of str to object
-        Field and value, as a TOML or JSON file gives it.
+        Field and value, as read from a TOML or JSON file.
     source_name : str
-        Name of the file or object, which begins every error message.
+        Name of the file or object, shown at the start of error messages.
 
     Returns
     -------
@@ -315,8 +321,8 @@ def protocol_from_dict(table: dict[str, Any], source_name: str) -> Protocol:
 def load_protocol(name_or_path: str | PathLike[str]) -> Protocol:
     """Load a protocol of the package by name, or from a TOML file by path.
 
-    A file may name another protocol as its ``base``, by name or by a path relative to the file, and give only what
-    differs.
+    A file may name another protocol as its ``base``, by name or by a path relative to the file. It then lists only the
+    fields that differ.
 
     Parameters
     ----------
@@ -331,8 +337,8 @@ def load_protocol(name_or_path: str | PathLike[str]) -> Protocol:
     Raises
     ------
     InputError
-        If the name is unknown, the file cannot be read, a field is misspelt or missing, a value is not allowed, or
-        ``base`` leads back to the file itself.
+        If the name is unknown, the file cannot be read, a field is misspelt or missing, a value is not allowed, or the
+        chain of ``base`` files contains a loop.
 
     Examples
     --------

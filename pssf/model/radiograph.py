@@ -1,4 +1,4 @@
-"""Radiograph and Truth: the pixels of a simulated radiograph, its labels, and the parameters that it was made from."""
+"""Radiograph and Truth: pixels, labels and all parameters of a simulated radiograph."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,46 +16,47 @@ from .protocol import Protocol
 
 @dataclass(frozen=True, kw_only=True)
 class Truth:
-    """Labels of a radiograph, true by construction; landmarks are (row, column) in pixels of this radiograph.
+    """Labels of a radiograph, exact by construction; landmarks are (row, column) in pixels of the radiograph.
 
     Attributes
     ----------
     jsw_medial_mm : float or None
-        Minimum medial joint space width (JSW) of this radiograph, in mm. It is measured between the projected contours
-        as `Knee.jsw_definition` says and scaled to the joint plane. It is negative where the contours overlap, and None
-        in a lateral or axial view. The specified JSW is `Knee.jsw_medial_mm`.
+        Minimum medial joint space width (JSW) on the radiograph, in mm. It is measured between the projected contours,
+        according to `Knee.jsw_definition`, and scaled to the joint plane. It is negative where the contours overlap,
+        and None in a lateral or axial view. The specified JSW is `Knee.jsw_medial_mm`.
     jsw_lateral_mm : float or None
-        Minimum lateral joint space width of this radiograph, in mm, likewise.
+        Minimum lateral joint space width on the radiograph, in mm, with the same definition.
     landmarks_px : mapping of str to (row, column) pair of float
         Landmarks by name; see Notes.
     grade : int or None
-        KL grade that the knee was sampled for, or the grade derived from its anatomy.
+        KL grade for which the knee was sampled, or the grade derived from its anatomy.
     jsw_at_mm : mapping of float to float
-        JSW(x) in mm, at fractions of the width of the femur from its medial epicondyle. Empty in a lateral or axial
-        view.
+        Joint space width JSW(x) in mm, keyed by the location x. The location is the distance from the medial epicondyle
+        as a fraction of the width of the femur. Empty in a lateral or axial view.
     attrition_mm : mapping of str to float
-        Greatest depth worn off the medial and the lateral plateau, in mm, in the posture that defines the joint space.
-        It does not depend on the posture of this radiograph. It is 0 where the bones do not touch.
+        Greatest depth worn off the medial and the lateral plateau, in mm. It is computed in the posture in which the
+        joint space is defined, so it does not depend on the posture of the radiograph. It is 0 if the bones do not
+        touch.
     reader_grade : int or None
         KL grade that a simulated reader gives; None if no reader is simulated.
     readings : mapping of str to float
-        OARSI grades under the names of the Osteoarthritis Initiative (`model.oarsi_grades`); angles and ratios of the
-        limb (`model.limb_axes`). In a frontal view also ``inter_margin_mm``: height of the front margin of the medial
-        plateau above its back margin on this radiograph, scaled to the joint plane.
+        OARSI grades under the names of the Osteoarthritis Initiative (`model.oarsi_grades`), and angles and ratios of
+        the limb (`model.limb_axes`). A frontal view also has ``inter_margin_mm``: the height of the front margin of the
+        medial plateau above its back margin on the radiograph, scaled to the joint plane.
     acquisition : mapping of str to (float or str)
-        Pose, beam, dose, field and marker of this radiograph (`model.sampling.acquisition.describe_acquisition`).
+        Pose, beam, dose, field and marker of the radiograph (`model.sampling.acquisition.describe_acquisition`).
     masks : mapping of str to (rows, cols) bool array
-        Pixels that show a bone, an osteophyte, cysts or an implant, by name; empty unless `simulate` is asked to keep
-        them.
+        Masks of the bones, osteophytes, cysts and implants, keyed by name. Empty unless the masks are requested from
+        `simulate`.
 
     Notes
     -----
-    In a frontal view, `landmarks_px` has three groups of names. The joint space: ``joint_centre``, and for both sides
-    ``*_joint_line``, ``*_jsw_femur`` and ``*_jsw_tibia``; the last two are the ends of the minimum joint space. The
-    widest points of the bones without osteophytes, for both sides: ``*_condyle_edge``, ``*_epicondyle`` and
-    ``*_plateau_edge``. The sixteen contour landmarks, with osteophytes, of `anatomy.outlines.contour_landmarks`;
-    ``notch`` is the same as ``notch_top``. A lateral or axial view has landmarks of the bones instead, which
-    `anatomy.labels.lateral_axial_labels` lists.
+    In a frontal view, `landmarks_px` has three groups of landmarks. In their names, ``*`` is ``medial`` or ``lateral``.
+    The first group describes the joint space: ``joint_centre``, ``*_joint_line``, ``*_jsw_femur`` and ``*_jsw_tibia``.
+    The last two are the ends of the minimum joint space. The second group has the widest points of the bones without
+    osteophytes: ``*_condyle_edge``, ``*_epicondyle`` and ``*_plateau_edge``. The third group has the sixteen contour
+    landmarks of `anatomy.outlines.contour_landmarks`, which include osteophytes; ``notch`` is the same as
+    ``notch_top``. A lateral or axial view has other landmarks, which `anatomy.labels.lateral_axial_labels` lists.
 
     Examples
     --------
@@ -76,22 +77,22 @@ class Truth:
     acquisition: Mapping[str, float | str] = field(default_factory=dict)
     masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict, compare=False, repr=False)
 
-    # Earlier names, for one version.
+    # Deprecated names, kept for one version.
     taking = renamed_attribute("acquisition")
     grade_read = renamed_attribute("reader_grade")
 
     @property
     def medial_joint_line_px(self) -> tuple[float, float]:
-        """Middle of the medial joint space, half way across the compartment, as (row, column); frontal views only."""
+        """Middle of the medial joint space at half the compartment width, as (row, column); frontal views only."""
         return self._require_landmark("medial_joint_line")
 
     @property
     def lateral_joint_line_px(self) -> tuple[float, float]:
-        """Middle of the lateral joint space, half way across the compartment, as (row, column); frontal views only."""
+        """Middle of the lateral joint space at half the compartment width, as (row, column); frontal views only."""
         return self._require_landmark("lateral_joint_line")
 
     def _require_landmark(self, name: str) -> tuple[float, float]:
-        """Return (row, column) of a landmark, or raise InputError if this view does not show it."""
+        """Return (row, column) of a landmark; raise InputError if the view does not show the landmark."""
         if name not in self.landmarks_px:
             known = ", ".join(self.landmarks_px)
             raise InputError(f"landmark must be one that this view shows ({known}), got {name!r}")
@@ -100,12 +101,13 @@ class Truth:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Radiograph:
-    """Simulated radiograph: pixels, labels, and all parameters that it was made from.
+    """Simulated radiograph: pixels, labels, and all parameters of the simulation.
 
     Attributes
     ----------
     pixels : (rows, cols) uint16 array
-        Pixel values, linear in the absorbed energy ("for processing"). Row 0 is proximal, in an axial view anterior.
+        Pixel values, linear in the absorbed energy ("for processing"). Row 0 is proximal; in an axial view it is
+        anterior.
     protocol : Protocol
         Protocol of the exposure.
     seed : int
@@ -115,30 +117,31 @@ class Radiograph:
     truth : Truth or None
         Labels; None for two knees or a user's own scene.
     knees : tuple of Knee
-        Right and left knee if both were imaged together, else empty.
+        Right and left knee if they were imaged together, else empty.
     truths : tuple of Truth
-        Labels of the right and the left knee, likewise.
+        Labels of the right and the left knee if they were imaged together, else empty.
     scene : mapping or None
         Materials and a hash of each mesh of a user's own scene; None for knees.
     surgery : tuple of mapping
-        Implants and resections in order, each with step, name, material, size and hash of the mesh. With two knees the
-        name begins with the side. The meshes are not stored.
+        Implants and resections in the order of surgery, each with step, name, material, size and hash of the mesh. With
+        two knees, the name begins with the knee ("right" or "left"). The meshes are not stored.
     engine : {"embree", "scanline"}
         Ray caster.
     audit : mapping of str to int
-        Counts of rays that the ray caster checked and repaired (`raycast.path_lengths.Audit`).
+        Counts of rays that the ray caster cast and recomputed (`raycast.path_lengths.Audit`).
     versions : mapping of str to str
-        Versions of the package and of the libraries that the pixels depend on.
+        Versions of the package and of the libraries that affect the pixels.
     kept : mapping of str to (rows, cols) float32 array
-        Maps that ``simulate(keep=...)`` asked for; "path_mm" is a mapping of material to map. With "scatter" of a Monte
-        Carlo simulation also "scatter_error", its statistical error relative to its mean.
+        Intermediate maps requested by ``simulate(keep=...)``. "path_mm" is a mapping of material to map. For "scatter"
+        from a Monte Carlo simulation, there is also "scatter_error": the statistical error of the scatter relative to
+        its mean.
     seconds : mapping of str to float
         Run time per stage, in s.
 
     Notes
     -----
-    Two radiographs are equal if their pixels and all parameters that they were made from are equal; `kept`, `audit` and
-    `seconds` do not count.
+    Two radiographs are equal if their pixels and all parameters of the simulation are equal; `kept`, `audit` and
+    `seconds` are not compared.
 
     Examples
     --------
@@ -187,15 +190,15 @@ class Radiograph:
 
     @property
     def entrance_air_kerma_ugy(self) -> float:
-        """Air kerma at the entrance of the limb, in uGy, without backscatter and without the limb."""
+        """Incident air kerma at the entrance surface of the limb, in uGy, without backscatter."""
         return float(_load_function("quality.exposure_index", "compute_entrance_kerma_ugy")(self))
 
     def show(self) -> None:
-        """Open the radiograph, processed for display, in the image viewer of the system."""
+        """Open the radiograph, after display processing, in the image viewer of the system."""
         _load_function("io.pictures", "make_preview")(self).show()
 
     def _repr_png_(self) -> bytes:
-        """Encode the radiograph, processed for display, as PNG for notebooks."""
+        """Encode the radiograph, after display processing, as PNG for notebooks."""
         return bytes(_load_function("io.pictures", "encode_preview_png")(self))
 
     def __repr__(self) -> str:
@@ -210,5 +213,5 @@ class Radiograph:
 
 
 def _load_function(module: str, name: str) -> Any:
-    """Import a function of a later module when it is first used; at the top the import would be circular."""
+    """Import a function when it is first used; an import at the top of this module would be circular."""
     return getattr(import_module(f"..{module}", __package__), name)

@@ -5,11 +5,9 @@
 ``contours``
     Compare contour landmarks of simulated knees with published landmarks of patients.
 ``bones``
-    Compare built and sampled bones with patient bones: distances, spread and measures of form.
+    Compare simulated bones with patient bones: surface distances, spread and bone shape.
 ``films``
-    Compare simulated with patient radiographs: normalisation, outlines, features, and models.
-``shape_model``
-    Fit the shape modes in ``data/shapes.toml`` to patient bones.
+    Compare simulated with patient radiographs: normalisation, bone outlines, image features and classifiers.
 
-Figures need the extra ``study``.
+Figures need the optional dependencies ``study``.
 """

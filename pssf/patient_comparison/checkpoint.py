@@ -1,4 +1,4 @@
-"""Checkpoints of the patient comparison: results of earlier runs in the same folder, reused if their key matches."""
+"""Checkpoints of the patient comparison: saved results of earlier runs in the same folder are reused if valid."""
 
 import hashlib
 import json
@@ -18,21 +18,21 @@ from ..io.cohort_records import hash_file
 from ..radiomics.features.feature_table import SAVE_INTERVAL_S
 
 Row = dict[str, Any]
-# Callback that receives number and values of each finished row.
+# Callback that receives the number and the values of each finished row.
 RowCallback = Callable[[int, Row], None]
-# Code that sampled knees depend on, besides their grade table.
+# Subpackages whose code determines the landmarks and bones of sampled knees; their hashes are part of each key.
 CODE_PATHS = ("anatomy", "core", "data", "geometry", "model", "patient_comparison")
 
 
 def compute_key(code: Mapping[str, str], *inputs: bytes) -> str:
-    """Compute a key from code hashes and input data.
+    """Compute a checkpoint key from code hashes and input data.
 
     Parameters
     ----------
     code : mapping of str to str
         Hashes from :func:`~pssf.data.code_hash.compute_code_hashes`.
     *inputs : bytes
-        Input data.
+        Encoded input data of the result.
 
     Returns
     -------
@@ -81,7 +81,7 @@ def save_rows(path: Path, rows: Iterable[Row]) -> None:
 
 
 def load_known_rows(path: Path, key_column: str, text_columns: tuple[str, ...]) -> dict[str, Row]:
-    """Load rows of a CSV file by one of its columns.
+    """Load the rows of a CSV file as a dictionary, keyed by the values of one column.
 
     Parameters
     ----------
@@ -90,12 +90,12 @@ def load_known_rows(path: Path, key_column: str, text_columns: tuple[str, ...]) 
     key_column : str
         Column whose values become the keys of the result.
     text_columns : tuple of str
-        Columns that hold text.
+        Columns with text values.
 
     Returns
     -------
     dict of str to dict
-        Rows by key; empty if the file, the key column or the column ``key`` does not exist.
+        Rows by value of `key_column`; empty if the file, `key_column` or the column ``key`` does not exist.
     """
     table = study_results.load_table(path, text_columns)
     if table is None or not {key_column, "key"} <= set(table):
@@ -105,7 +105,7 @@ def load_known_rows(path: Path, key_column: str, text_columns: tuple[str, ...]) 
 
 @dataclass(frozen=True, kw_only=True)
 class RowCheckpoint:
-    """Numeric rows in a CSV file that later runs reuse; rows with other keys are dropped.
+    """Rows of a CSV file that later runs reuse; rows whose code or inputs have changed are discarded.
 
     Parameters
     ----------
@@ -119,14 +119,15 @@ class RowCheckpoint:
     code: Mapping[str, str]
 
     def complete(self, facts: Sequence[bytes], make: Callable[[list[int], RowCallback], object]) -> list[Row]:
-        """Return one row per input; compute only rows that are missing, and save them.
+        """Return one row per input; compute and save the rows that the file does not contain.
 
         Parameters
         ----------
         facts : sequence of bytes
-            Everything that each row depends on, besides the code.
+            Encoded inputs of each row.
         make : callable
-            Function that computes missing rows. It receives their numbers and a callback for each finished row.
+            Function that computes missing rows. It receives the numbers of the missing rows, and a callback
+            to call for each finished row.
 
         Returns
         -------
@@ -153,14 +154,14 @@ class RowCheckpoint:
 
 
 class CheckpointManifest(Record, frozen=True):
-    """Key and file hashes of a saved section.
+    """Key and file hashes of a saved section of the page.
 
     Attributes
     ----------
     key : str
-        Key of the inputs of the section.
+        Checkpoint key of code and inputs.
     sha256 : dict of str to str
-        SHA-256 of each file, by file name.
+        SHA-256 hash of each file, by file name.
     """
 
     key: str
@@ -169,7 +170,7 @@ class CheckpointManifest(Record, frozen=True):
 
 @dataclass(frozen=True, kw_only=True)
 class SectionCheckpoint:
-    """Tables and figure of a section that are computed together and reused by later runs.
+    """Tables and figure of a page section, computed together and reused by later runs.
 
     Parameters
     ----------
@@ -178,9 +179,9 @@ class SectionCheckpoint:
     name : str
         Name of the section and of its figure.
     tables : tuple of str
-        Names of its tables.
+        Names of the tables of the section.
     key : str
-        Key of its inputs.
+        Checkpoint key of code and inputs.
     """
 
     folder: Path
@@ -189,7 +190,7 @@ class SectionCheckpoint:
     key: str
 
     def complete(self, make: Callable[[], tuple[Sequence[Sequence[Row]], bytes]]) -> tuple[list[list[Row]], bytes]:
-        """Return tables and figure of the section; compute them if the saved files do not match the key.
+        """Return tables and figure of the section; compute them if the saved files are missing, changed or outdated.
 
         Parameters
         ----------
@@ -199,7 +200,7 @@ class SectionCheckpoint:
         Returns
         -------
         list of list of dict
-            Rows of each table; empty cells hold an empty string.
+            Rows of each table; an empty cell is an empty string.
         bytes
             PNG figure.
         """
@@ -211,12 +212,12 @@ class SectionCheckpoint:
                 save_rows(path, rows)
             study_results.save_bytes(self._paths[-1], png)
             study_results.save_json(claim, {"key": self.key, "sha256": self._compute_hashes()})
-        # Files are read back after writing too, so that first and later runs return identical values.
+        # Newly written files are read back, so the first run returns exactly the values that later runs load.
         return [_load_rows(path) for path in self._paths[:-1]], study_results.load_bytes(self._paths[-1])
 
     @property
     def _paths(self) -> list[Path]:
-        """Paths of the tables and, last, of the figure."""
+        """Paths of the tables, followed by the path of the figure."""
         pictures = self.folder / "pictures"
         return [*(self.folder / f"{name}.csv" for name in self.tables), pictures / f"{self.name}.png"]
 

@@ -1,4 +1,4 @@
-"""HTML page of the patient comparison; the page is self-contained and loads no external file."""
+"""Self-contained HTML page of the patient comparison, without external files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -6,7 +6,7 @@ from typing import Any
 
 import jinja2
 
-from ..study.report.report_page import Picture
+from ..study.report.report_elements import Picture
 
 Row = dict[str, Any]
 
@@ -22,7 +22,7 @@ class Table:
     rows : sequence of dict
         Rows of the table.
     caption : str
-        Caption, which explains the columns.
+        Caption that explains the columns.
     max_rows_shown : int, default 60
         Maximum number of rows on the page; 0 hides the table.
     """
@@ -34,7 +34,7 @@ class Table:
 
     @property
     def columns(self) -> list[str]:
-        """Column names in the order in which they first occur."""
+        """Column names in order of first occurrence in the rows."""
         return list(dict.fromkeys(name for row in self.rows for name in row))
 
 
@@ -49,13 +49,13 @@ class Section:
     summary : str
         Main result in one line.
     text : str
-        Explanation of the measurements and of the confidence intervals.
+        Explanation of measurements and confidence intervals.
     tables : tuple of Table
         Tables of the section.
     figures : tuple of Picture
         Figures, displayed below the tables.
     facts : dict
-        Results for the JSON file.
+        Results that are written to the JSON file.
     """
 
     name: str
@@ -83,7 +83,7 @@ def render_page(sections: Sequence[Section], facts: dict[str, Any]) -> str:
     """
     environment = jinja2.Environment(loader=jinja2.PackageLoader(__package__, "."), autoescape=True, trim_blocks=True)
     environment.filters["cell"] = _format_cell
-    return environment.get_template("realism.html.j2").render(sections=sections, facts=facts)
+    return environment.get_template("patient_comparison.html.j2").render(sections=sections, facts=facts)
 
 
 def _format_cell(value: Any) -> str:

@@ -1,6 +1,6 @@
-"""Run of the patient comparison: measure what is given and write one page, with tables and figures."""
+"""Run of the patient comparison: compare simulated knees with the given patient data and write a page of results."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -28,7 +28,7 @@ from ..model.sampling.acquisition import sample_acquisition
 from ..model.sampling.knee_sampling import KneeDistributions, load_knee_distributions, sample_knees
 from ..radiomics.localisation.crop_template import crop_template
 from ..radiomics.localisation.templates import Template
-from ..study.report.report_page import Picture
+from ..study.report.report_elements import Picture
 from .bones import bone_comparison
 from .checkpoint import (
     CODE_PATHS,
@@ -47,31 +47,21 @@ from .comparison_page import (
 )
 from .contours import landmark_comparison
 from .contours.cohort_landmarks import load_cohort_landmarks
-from .film_report import SIMULATED, make_films_section
+from .film_report import make_films_section
 from .films.film_features import (
     FilmSource,
     FilmTables,
     Record,
     measure_films,
 )
-from .films.simulated_films import match_pixel_sizes, plan_simulated_films, simulate_films
+from .films.simulated_films import SIMULATED, match_pixel_sizes, plan_simulated_films, simulate_films
 from .page_texts import BONES_TEXT, CONTOURS_TEXT
 
-# Tables that the READMEs show, by the section that provides them.
-README_TABLES = {
-    "contours": ("contours_outside", "contours_sizes", "contours_gap_alone"),
-    "bones": ("bones", "bones_forms"),
-    "films": ("films_found", "films_domains", "films_transfer", "films_effects"),
-}
-# Grade table of the knees in these tables and in the figures.
-README_GRADE_TABLE = "population"
-# Tables that the READMEs also show for other grade tables; their names end with the grade table.
-README_TABLES_BY_GRADE_TABLE = {"paper": ("films_domains", "films_transfer", "films_effects")}
-# Folder of the simulated radiographs.
+# Folder of the simulated radiographs, inside the output folder.
 _FILMS_FOLDER = "simulated"
-# Columns of the film tables that hold text.
+# Text columns of the tables of radiograph records.
 _TEXT_COLUMNS = ("sha256", "key", "file", "source", "subject", "status", "side", "polarity", "pixel_from", "reason")
-# Maximum number of simulated knees used to estimate the spread.
+# Maximum number of simulated knees in the comparison of bones.
 _MAX_BONE_KNEES = 50
 
 
@@ -82,39 +72,16 @@ class PatientComparison:
     Attributes
     ----------
     page : Path
-        HTML page ``realism.html``.
+        HTML page ``patient_comparison.html``.
     summaries : tuple of str
-        One line per section.
+        Main result of each section, one line each.
     paths : tuple of Path
-        All files that were written.
-    rows : dict of str to list of dict
-        Rows of each table.
+        Paths of all written files.
     """
 
     page: Path
     summaries: tuple[str, ...]
     paths: tuple[Path, ...]
-    rows: dict[str, list[Row]]
-
-
-def select_readme_tables(table_names: Iterable[str], grades: str) -> dict[str, str]:
-    """Map each table of the READMEs to the table whose rows it shows.
-
-    Parameters
-    ----------
-    table_names : iterable of str
-        Tables of the comparison that are available.
-    grades : str
-        Grade table of the simulated knees.
-
-    Returns
-    -------
-    dict of str to str
-        Name of the README table and of the table that provides its rows.
-    """
-    if grades == README_GRADE_TABLE:
-        return {name: name for name in table_names}
-    return {f"{name}_{grades}": name for name in table_names if name in README_TABLES_BY_GRADE_TABLE.get(grades, ())}
 
 
 def compare_with_patients(
@@ -129,9 +96,9 @@ def compare_with_patients(
     grade_table: str = "population",
     seed: int = 0,
 ) -> PatientComparison:
-    """Compare simulated knees with patient data and write page, tables and figures into a folder.
+    """Compare simulated knees with patient data and write a page, tables and figures to a folder.
 
-    An interrupted comparison is resumed when it is run again in the same folder, see
+    An interrupted comparison resumes if the function is called again with the same folder, see
     :mod:`~pssf.patient_comparison.checkpoint`.
 
     Parameters
@@ -141,17 +108,17 @@ def compare_with_patients(
     execution : Execution
         Worker processes, timer and progress display.
     films : Path or None, default None
-        Folder of patient radiographs, or of one such folder per source, see
+        Folder of patient radiographs, or folder with one subfolder of radiographs per source, see
         :func:`~pssf.io.patients.patient_radiographs.list_films`. None skips the comparison of radiographs.
     bones_folder : Path or None, default None
         Folder of patient bones, see :func:`~pssf.io.meshes.bone_folder.read_bones`. None skips the comparison of bones.
     cohort : Path or None, default None
-        Cohort folder whose radiographs under `protocol` provide the contours. With None, contours are those of the
-        simulated radiographs, or of newly sampled knees if `films` is None.
+        Cohort folder whose radiographs under `protocol` provide the simulated contours. If None, contours come from the
+        simulated radiographs of this comparison, or from newly sampled knees if `films` is None.
     protocol : str, default "reference"
-        Name or path of the protocol; each simulated radiograph is a sampled acquisition under it.
+        Name or path of the protocol. Each simulated radiograph has a sampled acquisition under this protocol.
     knees : int, default 200
-        Number of simulated knees, with equal numbers per grade.
+        Number of simulated knees, distributed equally over the grades.
     grade_table : str, default "population"
         Grade table from which knees are sampled.
     seed : int, default 0
@@ -160,12 +127,12 @@ def compare_with_patients(
     Returns
     -------
     PatientComparison
-        Results and the files that were written.
+        Main results and paths of the written files.
 
     Raises
     ------
     InputError
-        A folder holds no data, a number is out of range, `protocol` is not frontal, or a file cannot be written.
+        A folder contains no data, a number is out of range, `protocol` is not frontal, or a file cannot be written.
     """
     laws, tables = load_knee_distributions(grade_table), load_anatomy_tables()
     count = len(laws.grades.grades)
@@ -178,7 +145,7 @@ def compare_with_patients(
     given = read_bones(bones_folder) if bones_folder is not None else None
     sources = find_film_sources(films) if films is not None else ()
     out = make_folder(Path(out))
-    # Radiographs come first, so that a folder with another cohort raises InputError at once and not after minutes.
+    # Radiographs are simulated first, so that an output folder with another cohort raises InputError at once.
     of_films = []
     if sources:
         plan = plan_simulated_films(protocol, knees, grade_table, count, seed)
@@ -187,7 +154,7 @@ def compare_with_patients(
         cohort = cohort or out / _FILMS_FOLDER
     with execution.timer.stage("contours", "knees", knees):
         if cohort is None:
-            # Right knees suffice, because labels of a left knee are mirrored. Patients' JSW was read by readers.
+            # Right knees suffice, because left knees are mirrored. Human readers measured the JSW of the patients.
             drawn = sample_knees(laws, knees, seed, side="right", jsw_definition="read")
             by = load_jsw_protocol(drawn[0])
             takings = landmark_comparison.sample_acquisitions(
@@ -203,7 +170,7 @@ def compare_with_patients(
     sections += of_films
     facts: dict[str, Any] = {"protocol": seen_under.name, "knees": knees, "grade table": grade_table, "seed": seed}
     facts |= {} if cohort is None else {"cohort of the contours": cohort.name, "its radiographs": len(sample.grades)}
-    facts |= {f"films of {source.name}": len(source.films) for source in sources}
+    facts |= {f"radiographs of {source.name}": len(source.films) for source in sources}
     return _write_report(out, sections, facts)
 
 
@@ -213,7 +180,7 @@ def find_film_sources(films_folder: Path) -> tuple[FilmSource, ...]:
     Parameters
     ----------
     films_folder : Path
-        Folder of radiographs, which is one source, or of several such folders, each a source.
+        Folder of radiographs of one source, or folder with one subfolder of radiographs per source.
 
     Returns
     -------
@@ -223,7 +190,7 @@ def find_film_sources(films_folder: Path) -> tuple[FilmSource, ...]:
     Raises
     ------
     InputError
-        The folder holds no radiographs, or a source has the reserved name of the simulated radiographs.
+        The folder contains no radiographs, or a source has the reserved name ``simulated``.
     """
     if not films_folder.is_dir():
         raise InputError(f"films must be a folder of radiographs, or of folders of radiographs, got {films_folder}")
@@ -241,16 +208,16 @@ def find_film_sources(films_folder: Path) -> tuple[FilmSource, ...]:
         raise nothing
     if any(source.name == SIMULATED for source in sources):
         raise InputError(
-            f"films must be in folders with other names, got {films_folder / SIMULATED}: "
+            f"folders of films must not be named {SIMULATED}, got {films_folder / SIMULATED}: "
             "this name is reserved for simulated radiographs"
         )
     return tuple(sources)
 
 
 def _make_contours_section(sample: landmark_comparison.LandmarkSample, reference: LandmarkReference) -> Section:
-    """Compare contour landmarks with those of patients and make the section."""
+    """Compare contour landmarks with those of patients and make the page section."""
     compared = landmark_comparison.compare_contours(sample, reference)
-    counts = [f"{row['outside']} of {row['of']} at grade {row['grade']}" for row in compared.outside]
+    counts = [f"{row['outside']} of {row['total']} at grade {row['grade']}" for row in compared.outside]
     cosines = ", ".join(f"{row['cosine']:.2f}" for row in compared.modes[:3])
     return Section(
         name="Contours",
@@ -263,7 +230,7 @@ def _make_contours_section(sample: landmark_comparison.LandmarkSample, reference
                   caption="Landmark coordinates as fractions of the plateau width."),
             Table(name="contours_sizes", rows=compared.sizes,
                   caption="Plateau width and joint gaps (mm at the detector), convergence (deg)."),
-            Table(name="contours_gap_alone", rows=compared.gap_auc,
+            Table(name="contours_gap_auc", rows=compared.gap_auc,
                   caption="AUC of the smaller joint gap, each grade against grade 0."),
             Table(name="contours_modes", rows=compared.modes,
                   caption="First modes of landmark variation, grades 0 and 1."),
@@ -286,7 +253,7 @@ def _make_bones_section(
     seed: int,
     execution: Execution,
 ) -> Section:
-    """Compare bones with patient bones and make the section; an earlier result is reused."""
+    """Compare simulated with patient bones and make the page section; reuse the result of an earlier run."""
 
     def make() -> tuple[tuple[list[Row], list[Row]], bytes]:
         drawn = bone_comparison.sample_bones(laws, tables, knees, seed, execution.workers)
@@ -296,17 +263,17 @@ def _make_bones_section(
 
     with execution.timer.stage("bones", "knees", knees):
         key = compute_key(compute_code_hashes(CODE_PATHS), hash_bones(patient_bones), encode_records(laws, knees, seed))
-        part = SectionCheckpoint(folder=out, name="bones", tables=("bones", "bones_forms"), key=key)
+        part = SectionCheckpoint(folder=out, name="bones", tables=("bones", "bones_shape_measures"), key=key)
         (rows, forms), figure = part.complete(make)
-    line = "; ".join(f"{row['bone']} {row['what']} {row['rms_mm']:.2f} mm" for row in rows)
+    line = "; ".join(f"{row['bone']} {row['comparison']} {row['rms_mm']:.2f} mm" for row in rows)
     return Section(
         name="Bones",
         summary=line,
         text=BONES_TEXT,
         tables=(
             Table(name="bones", rows=rows, caption="Distances in mm; scale is patient size divided by built size."),
-            Table(name="bones_forms", rows=forms, max_rows_shown=30,
-                  caption="Measures of form of patient bones (given) and sampled bones (drawn), at one size."),
+            Table(name="bones_shape_measures", rows=forms, max_rows_shown=30,
+                  caption="Shape measures of patient bones (patients) and sampled bones (simulated), at one size."),
         ),
         figures=(Picture(
             name="bones", png=figure, alt="Built mean bones coloured by distance",
@@ -319,9 +286,9 @@ def _make_bones_section(
 def _make_films_section(
     out: Path, sources: Sequence[FilmSource], plan: Plan, tables: FilmTables, execution: Execution
 ) -> Section:
-    """Simulate radiographs, measure them and the patient radiographs, and make the section."""
+    """Simulate radiographs, measure simulated and patient radiographs, and make the page section."""
     with execution.stage("templates", "knees", 1):
-        # Each worker process receives cropped templates and smooths them itself.
+        # Templates are cropped here once; each worker process smooths the cropped templates.
         whole = make_standard_templates("scanline", workers=execution.workers)
         templates = [crop_template(template, 0.0, tables.localisation) for template in whole]
     simulated = simulate_films(out / _FILMS_FOLDER, plan, tables.looks, execution)
@@ -340,8 +307,8 @@ def _measure_sources(
     table: LocalisationSettings,
     execution: Execution,
 ) -> dict[str, list[Record]]:
-    """Measure every radiograph of some sources; records of an earlier run are reused."""
-    paths = {source.name: out / f"films_{source.name}.csv" for source in sources}
+    """Measure every radiograph of the given sources; reuse records of an earlier run."""
+    paths = {source.name: out / f"radiographs_{source.name}.csv" for source in sources}
     known = {name: load_known_rows(path, "sha256", _TEXT_COLUMNS) for name, path in paths.items()}
     return measure_films(
         sources,
@@ -354,14 +321,14 @@ def _measure_sources(
 
 
 def _read_source_film(sources: Mapping[str, FilmSource], name: str, file: str) -> Array:
-    """Read a radiograph of a source with its display processing."""
+    """Read a radiograph of a source and apply its display processing."""
     source = sources[name]
     processing = next(film.processing for film in source.films if film.file == file)
     return read_film(source.folder / file, processing).pixels
 
 
 def _write_report(out: Path, sections: Sequence[Section], facts: dict[str, Any]) -> PatientComparison:
-    """Write tables, figures, page and JSON file."""
+    """Write tables, figures, HTML page and JSON file."""
     paths = []
     for section in sections:
         for table in section.tables:
@@ -370,12 +337,11 @@ def _write_report(out: Path, sections: Sequence[Section], facts: dict[str, Any])
         for figure in section.figures:
             paths.append(out / "pictures" / f"{figure.name}.png")
             study_results.save_bytes(paths[-1], figure.png)
-    page, machine = out / "realism.html", out / "realism.json"
+    page, machine = out / "patient_comparison.html", out / "patient_comparison.json"
     study_results.save_text(page, render_page(sections, facts))
     study_results.save_json(machine, facts | {section.name.lower(): section.facts for section in sections})
     return PatientComparison(
         page=page,
         summaries=tuple(f"{section.name}: {section.summary}" for section in sections),
         paths=(*paths, machine, page),
-        rows={table.name: list(table.rows) for section in sections for table in section.tables},
     )

@@ -1,4 +1,4 @@
-"""Section on radiographs: tables and figures from the records of patient and simulated radiographs."""
+"""Radiograph section of the comparison page: tables and figures from radiograph records."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -12,7 +12,7 @@ from ..core.checks import Array
 from ..core.processes.execution import Execution
 from ..core.processes.parallel_map import map_in_parallel
 from ..radiomics.localisation.pixel_aspect import resample_to_square_pixels
-from ..study.report.report_page import Picture
+from ..study.report.report_elements import Picture
 from .bones.bone_measures import compare_samples
 from .comparison_page import Section, Table
 from .films.contact_sheets import make_contact_sheet
@@ -37,31 +37,30 @@ from .films.film_normalisation import (
 )
 from .films.grade_effects import compare_grade_effects
 from .films.observer_study import make_observer_sheet, select_observer_films
+from .films.simulated_films import SIMULATED
 from .page_texts import CAPTIONS, FILMS_TEXT
 
 Row = dict[str, Any]
-# Function of source and file that reads a radiograph in display values, bone bright.
+# Function that reads a radiograph in display values (bone bright), given the names of source and file.
 FilmReader = Callable[[str, str], Array]
-# Two sources, and the grades that are distinguished from grade 0; no grades if the sources are distinguished.
+# Two sources, and the grades to distinguish from grade 0; empty if the sources are distinguished from each other.
 SourcePair = tuple[str, str, tuple[int, ...]]
 # Normalised radiograph for display, 8 bits.
 NormalisedImage = NDArray[np.uint8]
-# Source and record of a radiograph.
+# Source name and record of a radiograph.
 DisplayedFilm = tuple[str, Record]
-# Grade, and rows of radiographs, each with a caption.
+# Grade, and contact-sheet rows, each with a caption and radiographs.
 GradeSheet = tuple[int, list[tuple[str, list[DisplayedFilm]]]]
-# Name of the source of simulated radiographs.
-SIMULATED = "simulated"
-# Each task distinguishes grade 0 from these grades.
+# Grades of the positive class of each prediction task; the negative class is grade 0.
 GRADE_TASKS = ((2,), (3, 4))
 # Number of radiographs per row of a contact sheet.
 _FILMS_PER_ROW = 6
-# Prefixes of feature columns that are outline ratios.
+# Prefixes of the columns of outline ratios.
 _RATIO_GROUPS = ("shape|", "margins|")
 
 
 class SourceComparison(NamedTuple):
-    """Rows of the comparison between sources.
+    """Table rows of the comparison between sources.
 
     Attributes
     ----------
@@ -97,17 +96,17 @@ def make_films_section(
     Parameters
     ----------
     records : mapping of str to sequence of dict
-        Records of each source, from ``measure_films``. The source ``simulated`` holds simulated radiographs, all other
-        sources hold patient radiographs.
+        Records of each source, from ``measure_films``. The source ``simulated`` has simulated radiographs; all other
+        sources have patient radiographs.
     read_pixels : callable
-        Function of source and file that returns a (rows, cols) array of grey values from 0 to 1. It must be picklable
-        if `execution` uses more than one process.
+        Function that returns a (rows, cols) array of grey values from 0 to 1, given source and file name. It must be
+        picklable if `execution` uses more than one process.
     execution : Execution
-        Worker processes that compare sources and read displayed radiographs.
+        Worker processes, timer and progress display.
     replicates : int, default 1000
         Number of bootstrap replicates.
     seed : int, default 0
-        Seed of bootstrap, folds and selections.
+        Seed of bootstrap, cross-validation folds and selection of displayed radiographs.
 
     Returns
     -------
@@ -121,13 +120,14 @@ def make_films_section(
     figures, key = make_observer_sheet(order, lambda name, one: forms[name, one["file"]])
     tables = (*_make_tables(records, fates, compared), *key)
     return Section(
-        name="Films",
+        name="Radiographs",
         summary=format_summary(compared),
         text=FILMS_TEXT,
         tables=tuple(table for table in tables if table.rows),
         figures=(*(_make_contact_sheet_picture(grade, rows, forms) for grade, rows in sheets), *figures),
         facts={
-            "found": fates, "domains": compared.domains, "transfer": compared.transfer, "effects": compared.groups,
+            "found": fates, "source_separability": compared.domains, "grade_transfer": compared.transfer,
+            "grade_effects": compared.groups,
         },
     )  # fmt: skip
 
@@ -135,29 +135,29 @@ def make_films_section(
 def _make_tables(
     records: Mapping[str, Sequence[Record]], fates: list[Row], compared: SourceComparison
 ) -> tuple[Table, ...]:
-    """Make the tables of the section, without the key of the observer study."""
+    """Make the tables of the section, except the key of the observer study."""
     return (
-        Table(name="films_found", rows=fates, caption="Localised joints (found) and rejections of each source."),
-        Table(name="films_domains", rows=compared.domains, caption=CAPTIONS["domains"]),
-        Table(name="films_transfer", rows=compared.transfer, caption=CAPTIONS["transfer"]),
-        Table(name="films_effects", rows=compared.groups, caption=CAPTIONS["effects"]),
+        Table(name="radiographs_found", rows=fates, caption="Localised joints (found) and rejections per source."),
+        Table(name="source_separability", rows=compared.domains, caption=CAPTIONS["domains"]),
+        Table(name="grade_transfer", rows=compared.transfer, caption=CAPTIONS["transfer"]),
+        Table(name="grade_effects", rows=compared.groups, caption=CAPTIONS["effects"]),
         Table(
-            name="films_effects_of_features",
+            name="feature_grade_effects",
             rows=compared.features,
             caption="(c) Standardised grade differences of every feature.",
             max_rows_shown=12,
         ),
-        Table(name="films_ratios", rows=compare_ratios(records), caption=CAPTIONS["ratios"], max_rows_shown=31),
-        Table(name="films_tone", rows=summarise_quantities(records, TONE), caption=CAPTIONS["tone"]),
+        Table(name="outline_ratios", rows=compare_ratios(records), caption=CAPTIONS["ratios"], max_rows_shown=31),
+        Table(name="grey_values", rows=summarise_quantities(records, TONE), caption=CAPTIONS["tone"]),
         Table(
-            name="films_edges",
+            name="edge_profiles",
             rows=summarise_quantities(records, EDGES),
             caption=CAPTIONS["edges"],
             max_rows_shown=29,
         ),
-        Table(name="films_texture", rows=summarise_quantities(records, FINE), caption=CAPTIONS["fine"]),
+        Table(name="fine_texture", rows=summarise_quantities(records, FINE), caption=CAPTIONS["fine"]),
         Table(
-            name="films_form_texture",
+            name="normalised_texture",
             rows=summarise_quantities(records, "texture"),
             caption=CAPTIONS["form"],
             max_rows_shown=40,
@@ -174,7 +174,7 @@ def _compare_and_read(
     replicates: int,
     seed: int,
 ) -> tuple[SourceComparison, dict[tuple[str, str], NormalisedImage]]:
-    """Compare all sources and read displayed radiographs, by source and file, in the same worker processes."""
+    """Compare all sources, and read the displayed radiographs by source and file, in one set of worker processes."""
     measured = {name: make_film_features(name, of) for name, of in records.items() if _has_found_films(of)}
     comparing = [
         partial(_compare_pair, pair, measured=measured, replicates=replicates, seed=seed)
@@ -182,7 +182,7 @@ def _compare_and_read(
     ]
     films = {(name, one["file"]): one for name, one in displayed}
     showing = [partial(_read_normalised_film, read_pixels, name, one) for (name, _), one in films.items()]
-    # A worker process uses one thread for linear algebra; small models take three times as long on two threads.
+    # Models are fitted in worker processes, which use one linear-algebra thread each; two threads triple the time.
     made = map_in_parallel(_call, [*comparing, *showing], shared={}, workers=execution.workers)
     compared = made[: len(comparing)]
     rows = ([row for rows in one for row in rows] for one in zip(_EMPTY_COMPARISON, *compared, strict=True))
@@ -190,7 +190,7 @@ def _compare_and_read(
 
 
 def _call(part: Callable[[], Any]) -> Any:
-    """Call a function without arguments; worker processes need a top-level function."""
+    """Call a function without arguments; this wrapper is at module level because worker processes must import it."""
     return part()
 
 
@@ -212,7 +212,7 @@ def _list_source_pairs(measured: Mapping[str, FilmFeatures]) -> list[SourcePair]
 def _compare_pair(
     pair: SourcePair, *, measured: Mapping[str, FilmFeatures], replicates: int, seed: int
 ) -> SourceComparison:
-    """Measure the separability of two sources, or if grades are named, grade prediction and grade effects."""
+    """Measure the separability of two sources or, if the pair names grades, grade prediction and grade effects."""
     name, other, high = pair
     first, second = measured[name], measured[other]
     chance = {"replicates": replicates, "seed": seed}
@@ -224,7 +224,7 @@ def _compare_pair(
 
 
 def count_found_films(records: Mapping[str, Sequence[Record]]) -> list[Row]:
-    """Count radiographs, localised joints and rejections by reason for each source.
+    """Count radiographs, localised joints, and rejected radiographs by reason, for each source.
 
     Parameters
     ----------
@@ -234,12 +234,12 @@ def count_found_films(records: Mapping[str, Sequence[Record]]) -> list[Row]:
     Returns
     -------
     list of dict
-        One row per source, with the median pixel pitch in mm and the number of estimated pitches.
+        One row per source, which also has the median pixel pitch in mm and the number of estimated pitches.
     """
     rows = []
     for name, of in records.items():
         status = pd.Series([record["status"] for record in of]).value_counts()
-        row: Row = {"source": name, "films": len(of), "found": int(status.get("found", 0))}
+        row: Row = {"source": name, "radiographs": len(of), "found": int(status.get("found", 0))}
         row |= {reason: int(count) for reason, count in sorted(status.items()) if reason != "found"}
         pitch = [record["pixel_mm"] for record in of if record["status"] == "found"]
         row["pixel_mm_median"] = round(float(np.median(pitch)), 4) if pitch else None
@@ -249,24 +249,24 @@ def count_found_films(records: Mapping[str, Sequence[Record]]) -> list[Row]:
 
 
 def _select_found_films(records: Mapping[str, Sequence[Record]]) -> dict[str, pd.DataFrame]:
-    """Make a table of each source with the records whose joint was localised."""
+    """Make a table per source of the records with a localised joint."""
     return {name: pd.DataFrame([one for one in of if one["status"] == "found"]) for name, of in records.items()}
 
 
 def summarise_quantities(records: Mapping[str, Sequence[Record]], group: str) -> list[Row]:
-    """Summarise the quantities of a feature group for each source.
+    """Summarise the features of a feature group for each source.
 
     Parameters
     ----------
     records : mapping of str to sequence of dict
         Records of each source.
     group : str
-        Feature group.
+        Name of the feature group.
 
     Returns
     -------
     list of dict
-        One row per quantity: median, 10th and 90th percentile and number of radiographs of each source.
+        One row per feature: median, 10th and 90th percentile and number of radiographs of each source.
     """
     tables = _select_found_films(records)
     columns = dict.fromkeys(column for table in tables.values() for column in table if column.startswith(f"{group}|"))
@@ -278,7 +278,7 @@ def summarise_quantities(records: Mapping[str, Sequence[Record]], group: str) ->
             if len(values):
                 low, median, high = np.percentile(values, [10, 50, 90])
                 row |= {f"{name}_median": float(median), f"{name}_p10": float(low), f"{name}_p90": float(high)}
-                row[f"{name}_films"] = len(values)
+                row[f"{name}_radiographs"] = len(values)
         rows.append(row)
     return rows
 
@@ -294,7 +294,7 @@ def compare_ratios(records: Mapping[str, Sequence[Record]]) -> list[Row]:
     Returns
     -------
     list of dict
-        One row per source and ratio, with columns of ``compare_samples``.
+        One row per patient source and ratio, with the columns of ``compare_samples``.
     """
     tables = _select_found_films(records)
     ours = tables.pop(SIMULATED, pd.DataFrame())
@@ -318,7 +318,7 @@ def select_contact_sheet_films(records: Mapping[str, Sequence[Record]]) -> list[
     Returns
     -------
     list of tuple
-        Grade, and for each source a caption and radiographs that are evenly spaced in its list.
+        Grade, and one contact-sheet row per source: a caption and radiographs at even intervals in the list of records.
     """
     sheets = []
     for grade in sorted({int(one["grade"]) for of in records.values() for one in of}):
@@ -357,7 +357,7 @@ def format_summary(compared: SourceComparison) -> str:
     Returns
     -------
     str
-        Separability, transfer and effect correlation, each over all features.
+        AUC of source separability and of grade prediction, and correlation of grade effects, from all features.
     """
     parts = []
     for row in compared.domains:
@@ -367,7 +367,7 @@ def format_summary(compared: SourceComparison) -> str:
         if row["group"] == ALL_FEATURES and "auc" in row:
             parts.append(
                 f"{row['source']} {row['task']}: AUC {row['auc']:.2f} trained on simulated, "
-                f"{row['real_auc']:.2f} trained on patient radiographs"
+                f"{row['patient_auc']:.2f} trained on patient radiographs"
             )
     parts += [
         f"{row['source']} {row['task']}: grade effects r = {row['r']:+.2f}"
@@ -378,12 +378,12 @@ def format_summary(compared: SourceComparison) -> str:
 
 
 def _has_found_films(records: Sequence[Record]) -> bool:
-    """Report whether the joint was localised on any radiograph."""
+    """Report whether the joint was localised on at least one radiograph."""
     return any(record["status"] == "found" for record in records)
 
 
 def _select_evenly(records: Sequence[Record]) -> list[Record]:
-    """Select a few records, evenly spaced in their list."""
+    """Select up to six records at even intervals in a list."""
     places = np.unique(np.linspace(0, len(records) - 1, min(_FILMS_PER_ROW, len(records))).round().astype(int))
     return [records[place] for place in places] if records else []
 
@@ -394,7 +394,7 @@ def _read_normalised_film(read_pixels: FilmReader, source: str, record: Record) 
 
 
 def _normalise_film(film: Array, record: Record) -> NormalisedImage:
-    """Normalise a radiograph to 8 bits; its record gives polarity, joint position, pitch and binning."""
+    """Normalise a radiograph to 8 bits with polarity, joint position, pitch and binning from the record."""
     film = resample_to_square_pixels(film, float(record["pixel_height"]))
     bright = film if record["polarity"] == "bone bright" else 1 - film
     place = JointPosition(
@@ -404,5 +404,5 @@ def _normalise_film(film: Array, record: Record) -> NormalisedImage:
 
 
 def _format_grade(grade: int) -> str:
-    """Format a grade for display; negative grades are unknown."""
+    """Format a grade for display; a negative grade means unknown."""
     return "grade unknown" if grade < 0 else f"grade {grade}"

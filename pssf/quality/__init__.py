@@ -1,12 +1,12 @@
-"""Image quality of a protocol: measure beam, detector and exposure as a medical physicist would, beside references.
+"""Image quality of a protocol: standard physical measurements of beam, detector and exposure, with reference values.
 
-measure_quality  protocol       -> table of quantities with references, and the curves behind them
-write_quality    QualityResult  -> CSV files, and a figure (extra ``study``)
+measure_quality  Protocol       -> table of quantities with reference values, and measured curves
+write_quality    QualityResult  -> CSV files, and a figure (``study`` extra)
 
 beam_quality         half-value layers, air kerma, photons
 detector_quality     MTF, NPS, DQE, photon transfer
 exposure_index       exposure index, scatter, dynamic range, noise
-quality_measurement  all of these, beside references
+quality_measurement  all quantities of a protocol, with reference values
 quality_figure       figure of the curves
 quality_files        tables and figure on disk
 """

@@ -1,4 +1,4 @@
-"""Beam quality: half-value layers, mean energy, air kerma and photons, by xraylib and independent of SpekPy."""
+"""Beam quality: half-value layers, mean energy, air kerma and photons, computed with xraylib, not with SpekPy."""
 
 import numpy as np
 import xraylib
@@ -34,9 +34,9 @@ def energy_transfer_cm2_per_g(air: Material, energies_kev: Array) -> Array:
 
     Notes
     -----
-    The Compton part is the mean energy transfer of Klein and Nishina (1929). Fluorescence and bremsstrahlung count as
-    absorbed; air hardly produces them at these energies. The energy-absorption coefficients of xraylib are not used:
-    their interpolation is too coarse (a third too low at 20 keV).
+    The Compton part is the mean energy transfer of Klein and Nishina (1929). The energy of fluorescence and
+    bremsstrahlung counts as absorbed, because both are negligible in air at diagnostic energies. The energy-absorption
+    coefficients of xraylib are not used, because their interpolation is too coarse (a third too low at 20 keV).
     """
     photo, compton = (
         np.array([sum(share * one(z, float(energy)) for z, share in air.elements) for energy in energies_kev])
@@ -48,7 +48,7 @@ def energy_transfer_cm2_per_g(air: Material, energies_kev: Array) -> Array:
 def _compton_transfer_fraction(energies_kev: Array) -> Array:
     """Compute the mean fraction of a photon's energy that a free electron receives (Klein and Nishina 1929).
 
-    Input and result have shape (energies,).
+    Argument and result have shape (energies,).
     """
     cosine, weight = np.polynomial.legendre.leggauss(64)
     left = 1 / (1 + energies_kev[:, None] / _ELECTRON_REST_KEV * (1 - cosine))
@@ -57,7 +57,7 @@ def _compton_transfer_fraction(energies_kev: Array) -> Array:
 
 
 def air_kerma_ugy(air: Material, energies_kev: Array, photons_per_mm2: Array) -> float:
-    """Compute the air kerma of a fluence: photons times energy times mass energy transfer to dry air.
+    """Compute the air kerma of a fluence: photons times energy times mass energy-transfer coefficient of dry air.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def air_kerma_ugy(air: Material, energies_kev: Array, photons_per_mm2: Array) ->
 
 
 def half_value_layers_mm_al(air: Material, energies_kev: Array, photons_per_mm2: Array) -> tuple[float, float]:
-    """Compute the first and second half-value layer of the air kerma in aluminium, in narrow-beam geometry.
+    """Compute the first and second half-value layer in aluminium from the air kerma, in narrow-beam geometry.
 
     Parameters
     ----------
@@ -101,11 +101,11 @@ def half_value_layers_mm_al(air: Material, energies_kev: Array, photons_per_mm2:
     whole = air_kerma_ugy(air, energies_kev, photons_per_mm2)
 
     def excess(depth_mm: float, share: float) -> float:
-        """Return the transmitted fraction of the air kerma minus the wanted fraction."""
+        """Compute the transmitted fraction of the air kerma minus a target fraction."""
         return air_kerma_ugy(air, energies_kev, photons_per_mm2 * np.exp(-mu * depth_mm)) / whole - share
 
     def layer(share: float) -> float:
-        """Find the thickness of aluminium that transmits a fraction of the air kerma, in mm."""
+        """Find the thickness of aluminium in mm that transmits a given fraction of the air kerma."""
         return float(brentq(excess, 0.0, 100.0, args=(share,), xtol=1e-12))
 
     first = layer(0.5)
@@ -113,7 +113,7 @@ def half_value_layers_mm_al(air: Material, energies_kev: Array, photons_per_mm2:
 
 
 def compute_beam_quantities(technique: Technique) -> dict[str, float]:
-    """Compute the quantities of a protocol's open beam.
+    """Compute the beam quality of a protocol's open beam.
 
     Parameters
     ----------
@@ -123,11 +123,11 @@ def compute_beam_quantities(technique: Technique) -> dict[str, float]:
     Returns
     -------
     dict of str to float
-        Name and value; the names end in the units.
+        Value of each quantity, keyed by its name; names end with the unit.
 
     Notes
     -----
-    The beam travels in vacuum. One metre of air would absorb 4 % of the air kerma (SpekPy, 70 kV).
+    Attenuation in air is neglected; one metre of air would reduce the air kerma by 4 % (SpekPy, 70 kV).
     """
     protocol, air = technique.protocol, technique.material("air")
     if protocol.mono_kev is not None:
@@ -154,7 +154,7 @@ def compute_beam_quantities(technique: Technique) -> dict[str, float]:
 
 
 def entrance_kerma_ugy(technique: Technique) -> float:
-    """Compute the air kerma of the open beam at the entrance of the limb, without backscatter.
+    """Compute the incident air kerma at the entrance surface of the limb, without backscatter.
 
     Parameters
     ----------
@@ -171,6 +171,6 @@ def entrance_kerma_ugy(technique: Technique) -> float:
 
 
 def _kerma_at_skin_ugy(air_kerma_ugy_mas_1m: float, protocol: Protocol) -> float:
-    """Scale the air kerma per mAs at 1 m to the skin, 60 mm in front of the joint, and to the mAs of the protocol."""
+    """Scale the air kerma per mAs at 1 m to the skin (60 mm in front of the joint) and to the mAs of the protocol."""
     skin_mm = protocol.sod_mm - 60.0
     return air_kerma_ugy_mas_1m * protocol.mas * (1000.0 / skin_mm) ** 2

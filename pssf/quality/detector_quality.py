@@ -1,4 +1,4 @@
-"""Detector quality, measured as in a laboratory: MTF of a slanted edge, NPS of flat fields, DQE, photon transfer."""
+"""Detector quality, measured as in a laboratory: slanted-edge MTF, NPS of flat fields, DQE, photon transfer."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,13 +16,13 @@ from ..xray.spectrum import compute_beam
 
 # Angle between the edge of the lead plate and the pixel columns, in degrees (IEC 62220-1: 1.5 to 3).
 _EDGE_DEG = 2.4
-# Bins of the edge spread function per pixel.
+# Number of bins of the edge spread function per pixel.
 _FINER = 8
-# Rows and columns of the image of the edge, in pixels.
+# Number of rows and columns of the image of the edge.
 _EDGE_PX = 512
-# Side of a region of the noise power spectrum, in pixels.
+# Side length of a region of interest for the noise power spectrum, in pixels.
 _ROI_PX = 128
-# Regions along each side of a flat field.
+# Number of regions of interest along each side of a flat field.
 _ROIS = 4
 # Number of flat fields.
 _FIELDS = 6
@@ -30,7 +30,7 @@ _FIELDS = 6
 
 @dataclass(frozen=True)
 class FrequencyCurve:
-    """Quantity as a function of spatial frequency, measured and by the model.
+    """Measured and model values of a quantity as a function of spatial frequency.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class FrequencyCurve:
     measured : (n,) array
         Measured values.
     model : (n,) array
-        Values that the package is designed to give.
+        Values that the detector model predicts.
     """
 
     frequency_per_mm: Array
@@ -48,19 +48,19 @@ class FrequencyCurve:
 
 
 def make_bare_technique(technique: Technique, side_px: int) -> Technique:
-    """Replace the detector by a square of pixels, with nothing between it and a point source.
+    """Make a technique with a square detector and a point source, without anything in the beam.
 
     Parameters
     ----------
     technique : Technique
         Resolved protocol.
     side_px : int
-        Rows and columns of the detector, in pixels.
+        Number of rows and columns of the detector.
 
     Returns
     -------
     Technique
-        Technique without focal-spot blur, scatter, heel effect, dead pixels, collimator and marker.
+        Technique without focal-spot blur, scatter, heel effect, dead pixels, collimator and side marker.
     """
     return technique.replace_protocol(
         rows=side_px,
@@ -88,7 +88,7 @@ def model_mtf(technique: Technique, per_mm: Array) -> Array:
     Returns
     -------
     (n,) array
-        MTF, dimensionless; 1 without detector blur.
+        MTF, dimensionless; 1 everywhere if the protocol has no detector blur.
     """
     if technique.protocol.detector_blur == "none":
         return np.ones_like(per_mm)
@@ -96,11 +96,11 @@ def model_mtf(technique: Technique, per_mm: Array) -> Array:
 
 
 def measure_mtf(technique: Technique) -> FrequencyCurve:
-    """Measure the presampled MTF from a slanted edge without noise (Samei 1998).
+    """Measure the presampled MTF with a slanted edge, without noise (Samei 1998).
 
-    The edge spread function is differentiated to the line spread function, whose Fourier transform is the MTF. A plate
-    of lead with a straight edge lies on the detector. Pixels that the edge crosses are partly open. This adds one pixel
-    aperture, since rays end at pixel centres; its transfer function is divided out.
+    A lead plate with a straight edge is on the detector. The edge spread function is differentiated to the line spread
+    function, whose Fourier transform is the MTF. Pixels that the edge crosses are partly open, which adds one pixel
+    aperture to the simulated signal. The transfer function of this aperture is divided out.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def measure_mtf(technique: Technique) -> FrequencyCurve:
     pixel_mm = technique.protocol.pixel_mm
     rows, cols = np.mgrid[:_EDGE_PX, :_EDGE_PX] - (_EDGE_PX - 1) / 2
     across = cols * np.cos(np.deg2rad(_EDGE_DEG)) + rows * np.sin(np.deg2rad(_EDGE_DEG))
-    # Path length in lead that transmits the same fraction as the open part of the pixel.
+    # Path length in lead whose transmission equals the open fraction of the pixel.
     per_mm = float(attenuation_per_mm(parse_compound("Pb@11.35"), np.array([60.0]))[0])
     path = -np.log(np.clip(0.5 - across, 1e-6, 1.0)) / per_mm
     pixels = _require_pixels(_expose_paths({"Pb@11.35": path.astype(np.float32)}, quiet))
@@ -129,13 +129,13 @@ def measure_mtf(technique: Technique) -> FrequencyCurve:
 
 
 def _monoenergetic_mas(technique: Technique) -> float:
-    """Compute the mAs at one energy that gives about the middle of the 16-bit range."""
+    """Compute the mAs of a monoenergetic beam that gives a signal near the middle of the 16-bit range."""
     trial = make_bare_technique(technique, 8).replace_protocol(noise="none", mono_kev=60.0, mas=1.0)
     return 30000.0 / max(float(_require_pixels(_expose_paths({}, trial)).mean()) - technique.detector.offset_dn, 1.0)
 
 
 def _compute_edge_mtf(pixels: Array, distance_px: Array, pixel_mm: float) -> tuple[Array, Array]:
-    """Compute frequencies and MTF from the signal at distances (in pixels) across an edge."""
+    """Compute frequencies and MTF from pixel values and their distances in pixels from the edge."""
     reach = 96
     place = np.floor((distance_px + reach) * _FINER).astype(int)
     inside = (place >= 0) & (place < 2 * reach * _FINER)
@@ -144,14 +144,14 @@ def _compute_edge_mtf(pixels: Array, distance_px: Array, pixel_mm: float) -> tup
     line = np.diff(spread)
     transform = np.abs(np.fft.rfft(line))
     frequency = np.fft.rfftfreq(len(line), pixel_mm / _FINER)
-    # The differences and the bins each act as an aperture, whose transfer is divided out.
+    # Differentiation and binning each act as an aperture of one bin; the two transfer functions are divided out.
     transform /= np.sinc(frequency * pixel_mm / _FINER) ** 2
     wanted = frequency < 0.5 / pixel_mm
     return np.asarray(frequency[wanted], np.float64), np.asarray(transform[wanted] / transform[0], np.float64)
 
 
 def simulate_flat_fields(technique: Technique, count: int = _FIELDS) -> Array:
-    """Simulate exposures of the open beam.
+    """Simulate flat fields: exposures of the open beam.
 
     Parameters
     ----------
@@ -163,7 +163,7 @@ def simulate_flat_fields(technique: Technique, count: int = _FIELDS) -> Array:
     Returns
     -------
     (count, rows, cols) array
-        Linear pixel values minus their offset, in DN.
+        Linear pixel values minus the detector offset, in DN.
     """
     side = _ROI_PX * _ROIS
     flat = make_bare_technique(technique, side)
@@ -185,11 +185,11 @@ def measure_nnps(technique: Technique) -> FrequencyCurve:
         Normalised noise power spectrum, in mm2.
     """
     fields, pixel_mm = simulate_flat_fields(technique), technique.protocol.pixel_mm
-    # The mean of the fields is subtracted, since the inverse-square fall-off of the beam is no noise. The factor
-    # restores the part of the noise that the mean contains.
+    # The mean of the fields is subtracted, because the inverse-square fall-off of the beam is not noise. The factor
+    # corrects for the noise of the mean itself.
     residual = (fields - fields.mean(axis=0)) * np.sqrt(len(fields) / (len(fields) - 1))
     regions = residual.reshape(len(fields), _ROIS, _ROI_PX, _ROIS, _ROI_PX).swapaxes(2, 3)
-    # Without a Hann window, power leaks from low to high frequencies, where the power is thirty times smaller.
+    # The Hann window prevents leakage of power from low to high frequencies, where the power is thirty times smaller.
     window = np.outer(np.hanning(_ROI_PX), np.hanning(_ROI_PX))
     power = (np.abs(np.fft.fft2(regions * window)) ** 2).mean(axis=(0, 1, 2)) * pixel_mm**2 / (window**2).sum()
     f = np.fft.fftfreq(_ROI_PX, pixel_mm)
@@ -202,7 +202,7 @@ def measure_nnps(technique: Technique) -> FrequencyCurve:
 def model_nnps(technique: Technique, per_mm: Array, mean_dn: float) -> Array:
     """Compute the normalised noise power spectrum of the detector model.
 
-    It is the sum of the quantum noise, filtered by its own transfer function, and of readout and rounding noise.
+    The spectrum is the sum of filtered quantum noise, readout noise and rounding noise.
 
     Parameters
     ----------
@@ -211,7 +211,7 @@ def model_nnps(technique: Technique, per_mm: Array, mean_dn: float) -> Array:
     per_mm : (...) array
         Spatial frequencies, in cycles per mm.
     mean_dn : float
-        Mean signal above the offset, in DN.
+        Mean signal after subtraction of the offset, in DN.
 
     Returns
     -------
@@ -231,7 +231,7 @@ def model_nnps(technique: Technique, per_mm: Array, mean_dn: float) -> Array:
 
 
 def measure_dqe(technique: Technique) -> FrequencyCurve:
-    """Measure the detective quantum efficiency, MTF^2 / (NNPS q), in the open beam of a protocol.
+    """Measure the detective quantum efficiency (DQE), MTF^2 / (NNPS q), in the open beam of a protocol.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ def measure_dqe(technique: Technique) -> FrequencyCurve:
     Returns
     -------
     FrequencyCurve
-        DQE, dimensionless; q is the number of photons per mm2 at the detector.
+        DQE, dimensionless. In the formula, q is the number of photons per mm2 at the detector.
     """
     noise, sharp = measure_nnps(technique), measure_mtf(technique)
     q = compute_beam(technique).photons_per_mm2.sum() * (1000.0 / technique.protocol.sdd_mm) ** 2
@@ -251,19 +251,19 @@ def measure_dqe(technique: Technique) -> FrequencyCurve:
 
 
 def measure_photon_transfer(technique: Technique, steps: int = 6) -> list[tuple[float, float, float]]:
-    """Measure the variance of flat fields without detector blur at rising mAs.
+    """Measure the variance of flat fields without detector blur as a function of mAs.
 
     Parameters
     ----------
     technique : Technique
-        Resolved protocol; its mAs is the highest one.
+        Resolved protocol; its mAs is the highest value.
     steps : int, default 6
-        Number of mAs values, from 1/64 of the protocol's mAs to all of it.
+        Number of mAs values, from 1/64 of the protocol's mAs to the full mAs.
 
     Returns
     -------
     list of (mean, measured, model) tuple of float
-        Mean in DN, and measured and model variance in DN2.
+        Mean in DN, measured variance and model variance in DN2, for each mAs value.
     """
     rows = []
     for mas in technique.protocol.mas * np.geomspace(1 / 64, 1.0, steps):
@@ -276,9 +276,9 @@ def measure_photon_transfer(technique: Technique, steps: int = 6) -> list[tuple[
 
 
 def measure_noise_moments(technique: Technique) -> dict[str, tuple[float, float, float]]:
-    """Measure the moments of the noise of a flat field without detector blur.
+    """Measure mean, variance and skewness of the noise in a flat field without detector blur.
 
-    Mean and variance are in units of the model's standard deviation and variance.
+    The mean and the variance are normalised by the standard deviation and the variance of the model.
 
     Parameters
     ----------
@@ -288,14 +288,14 @@ def measure_noise_moments(technique: Technique) -> dict[str, tuple[float, float,
     Returns
     -------
     dict of str to (value, low, high) tuple of float
-        Moment, and its expected range: four standard errors for this number of pixels.
+        Measured moment and its expected range, which is four standard errors for the number of pixels.
     """
     flat = make_bare_technique(technique, _ROI_PX * _ROIS).replace_protocol(detector_blur="none")
     image, offset = _expose_paths({}, flat, seed=9, keep=frozenset({"noise_free"})), flat.detector.offset_dn
     pixels, mean = _require_pixels(image), image.kept["noise_free"].astype(np.float64) - offset
     variance = model_nnps(flat, np.zeros(1), mean) / flat.protocol.pixel_mm**2 * mean**2
     off, n = (pixels - offset - mean) / np.sqrt(variance), pixels.size
-    # Skewness of Poisson counts; 0 where the counts are large and sampled from a normal distribution.
+    # Skewness of Poisson counts; 0 for large counts, which are sampled from a normal distribution.
     quanta = float(np.mean(mean**2 / variance))
     skewness = 1 / np.sqrt(quanta) if quanta < GAUSSIAN_MIN_QUANTA else 0.0
     shape = (off - off.mean()) / off.std()
@@ -314,20 +314,20 @@ def measure_noise_moments(technique: Technique) -> dict[str, tuple[float, float,
 def _expose_paths(
     path_mm: Mapping[str, NDArray[np.float32]], technique: Technique, seed: int = 0, keep: frozenset[str] = frozenset()
 ) -> LatentImage:
-    """Run the imaging stages behind path lengths (rows, cols), in mm, in a beam without scatter."""
+    """Run the imaging stages for given path lengths (rows, cols), in mm, without a scene."""
     image = LatentImage(path_mm=path_mm)
     run_stages(image, StageContext(technique=technique, seed=seed, keep=keep))
     return image
 
 
 def _require_pixels(image: LatentImage) -> NDArray[np.uint16]:
-    """Return the pixels of an image that has passed all stages."""
+    """Return the pixels of an image after all imaging stages."""
     assert image.pixels is not None
     return image.pixels
 
 
 def _average_over_rings(radius: Array, power: Array, pixel_mm: float) -> tuple[Array, Array]:
-    """Average over rings of frequency up to the Nyquist frequency, without the axes and the zero frequency."""
+    """Average a power spectrum over rings of frequency up to the Nyquist frequency, excluding the axes."""
     step = radius[0, 1] * 2
     used = (np.arange(len(radius))[:, None] > 0) & (np.arange(len(radius)) > 0) & (radius < 0.5 / pixel_mm)
     ring = np.rint(radius[used] / step).astype(int)

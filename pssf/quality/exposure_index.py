@@ -16,15 +16,15 @@ from ..xray.resolved_technique import Technique, resolve_technique
 from ..xray.spectrum import compute_beam, tube_spectrum
 from .beam_quality import air_kerma_ugy, entrance_kerma_ugy
 
-# Half the side of the square regions in which signals are measured, in mm at the detector.
+# Half the side length of the square regions in which signals are measured, in mm on the detector.
 _ROI_HALF_MM = 3.0
-# Fraction of the open beam's signal below which a pixel shows the limb, as in display processing (`data/looks.toml`).
+# Fraction of the open-beam signal below which a pixel shows the limb, as in display processing (`data/looks.toml`).
 _LIMB_SIGNAL_FRACTION = 0.5
-# Quantile of the signal that stands for the open beam.
+# Quantile of the signal that is taken as the open-beam signal.
 _GREATEST = 0.999
 # Value of a saturated pixel, in DN.
 _FULL_DN = 65535
-# Side of a cell of the map of the scatter-to-primary ratio, in mm at the detector.
+# Cell size of the scatter-to-primary-ratio map, in mm on the detector.
 _SPR_CELL_MM = 2.4
 
 
@@ -39,11 +39,11 @@ def measure_exposure_quantities(technique: Technique) -> tuple[dict[str, float],
     Returns
     -------
     quantities : dict of str to float
-        ``exposure_index``; scatter-to-primary ratio at the joint (``spr_joint``), in bone below it (``spr_bone``) and
-        over the limb (``spr_limb``); ``dynamic_range``, the greatest signal over the mean signal in bone;
-        ``noise_bone``, noise relative to the signal in bone. All are dimensionless.
+        Dimensionless quantities: ``exposure_index``; scatter-to-primary ratio at the joint (``spr_joint``), in the
+        tibia (``spr_bone``) and over the limb (``spr_limb``); ``dynamic_range``, the greatest signal divided by the
+        mean signal in bone; ``noise_bone``, the noise relative to the signal in bone.
     spr : (rows, cols) array
-        Scatter-to-primary ratio, in cells of `spr_cell_px` pixels.
+        Scatter-to-primary-ratio map, with the cell size of `spr_cell_px`.
     """
     protocol = technique.protocol
     built = build(Knee(), protocol)
@@ -78,18 +78,18 @@ def measure_exposure_quantities(technique: Technique) -> tuple[dict[str, float],
 def compute_exposure_index(radiograph: Radiograph) -> float:
     """Compute the exposure index of a radiograph from its pixels (IEC 62494-1).
 
-    The value of interest is the median signal of the limb. The limb is every pixel in the collimated field that is not
-    saturated and receives less than half of the open beam. Without such pixels the whole field is used.
+    The value of interest is the median signal of the limb. Limb pixels are the pixels in the collimated field that are
+    not saturated and have less than half of the open-beam signal. If there are none, the whole field is used.
 
     Parameters
     ----------
     radiograph : Radiograph
-        The radiograph.
+        Simulated radiograph.
 
     Returns
     -------
     float
-        Exposure index, 100 per uGy of an RQA5 beam with the same signal.
+        Exposure index: 100 times the air kerma, in uGy, of an RQA5 beam with the same signal.
     """
     technique, protocol = resolve_technique(radiograph.protocol), radiograph.protocol
     detector = technique.detector
@@ -98,7 +98,7 @@ def compute_exposure_index(radiograph: Radiograph) -> float:
     kev = (field.astype(np.float64) - detector.offset_dn) * _kev_per_dn(technique)
     greatest = float(np.quantile(kev, _GREATEST))
     if field.max() == _FULL_DN:
-        # A saturated pixel does not show the signal of the open beam, so the expected signal is computed.
+        # If the open beam saturates the detector, its signal is computed from the spectrum instead of the pixels.
         beam, nearer = compute_beam(technique), (1000.0 / protocol.sdd_mm) ** 2
         greatest = float((beam.photons_per_mm2 * beam.signal_kev).sum()) * nearer * protocol.pixel_mm**2
     limb = kev[(kev < _LIMB_SIGNAL_FRACTION * greatest) & (field < _FULL_DN)]
@@ -112,12 +112,12 @@ def _kev_per_dn(technique: Technique) -> float:
 
 
 def compute_entrance_kerma_ugy(radiograph: Radiograph) -> float:
-    """Compute the air kerma of a radiograph's open beam at the entrance of the limb, without backscatter.
+    """Compute the incident air kerma of a radiograph at the entrance surface of the limb, without backscatter.
 
     Parameters
     ----------
     radiograph : Radiograph
-        The radiograph.
+        Simulated radiograph.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def compute_entrance_kerma_ugy(radiograph: Radiograph) -> float:
 
 
 def spr_cell_px(protocol: Protocol) -> int:
-    """Return the side of a cell of the map of the scatter-to-primary ratio.
+    """Compute the cell size of the scatter-to-primary-ratio map.
 
     Parameters
     ----------
@@ -138,13 +138,13 @@ def spr_cell_px(protocol: Protocol) -> int:
     Returns
     -------
     int
-        Side in pixels, at least 1.
+        Cell size in pixels, at least 1.
     """
     return max(1, round(_SPR_CELL_MM / protocol.pixel_mm))
 
 
 def exposure_index(limb_kev: Array, technique: Technique) -> float:
-    """Compute the exposure index of a limb's signal (IEC 62494-1).
+    """Compute the exposure index from the signal behind the limb (IEC 62494-1).
 
     Parameters
     ----------
@@ -156,7 +156,8 @@ def exposure_index(limb_kev: Array, technique: Technique) -> float:
     Returns
     -------
     float
-        100 per uGy of air kerma that an RQA5 beam needs for the median signal behind the limb.
+        Exposure index: 100 times the air kerma, in uGy, of an RQA5 beam whose signal is the median signal behind the
+        limb.
     """
     return 100 * float(np.median(limb_kev)) / _kev_per_ugy(technique)
 

@@ -1,4 +1,4 @@
-"""Figure of a protocol's image quality: measured curves beside the model."""
+"""Figure of a protocol's image quality: measured curves and model curves."""
 
 import io
 

@@ -1,4 +1,4 @@
-"""Files of a protocol's image quality: tables, and a figure if matplotlib is installed."""
+"""Write the image quality of a protocol to files: tables, and a figure if matplotlib is installed."""
 
 from importlib.util import find_spec
 from pathlib import Path
@@ -10,21 +10,21 @@ from .quality_measurement import QualityResult
 
 
 def write_quality(quality: QualityResult, protocol: Protocol, out: Path) -> list[Path]:
-    """Write the table, the curves and the SPR map as CSV files, and a figure if matplotlib is installed.
+    """Write quantities, curves and scatter-to-primary-ratio map as CSV files, and a figure if matplotlib is installed.
 
     Parameters
     ----------
     quality : QualityResult
         Measured quality.
     protocol : Protocol
-        Protocol; its name ends the names of the files.
+        Protocol, whose name is the last part of the file names.
     out : Path
-        Folder to write into.
+        Folder for the files.
 
     Returns
     -------
     list of Path
-        Paths of the files.
+        Paths of the written files.
     """
     paths = [out / f"quality_{protocol.name}.csv", out / f"curves_{protocol.name}.csv"]
     write_csv(paths[0], quality.rows)

@@ -1,4 +1,4 @@
-"""Measure the image quality of a protocol, and compare it with references."""
+"""Measure the image quality of a protocol and compare it with reference values."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ from .detector_quality import (
 from .exposure_index import measure_exposure_quantities, spr_cell_px
 
 Row = dict[str, Any]
-# Quantities of the beam, in the order of the references in `data/reference.toml`.
+# Names of the beam quantities, in the order of the reference values in `data/reference.toml`.
 _BEAM_QUANTITIES = ("hvl1_mm_al", "hvl2_mm_al", "mean_kev", "photons_per_mm2_mas_1m", "air_kerma_ugy_mas_1m")
 # Spatial frequencies at which the MTF is reported, in cycles per mm.
 _MTF_AT = (0.5, 1.0, 2.0, 3.0)
@@ -37,7 +37,7 @@ class QualityResult:
     Attributes
     ----------
     rows : list of dict
-        One row per quantity: quantity, value, reference, low, high, source.
+        One row per quantity, with the keys quantity, value, reference, low, high and source.
     mtf : FrequencyCurve
         Presampled MTF.
     nnps : FrequencyCurve
@@ -45,11 +45,11 @@ class QualityResult:
     dqe : FrequencyCurve
         Detective quantum efficiency in an RQA5 beam.
     photon_transfer : list of (mean, measured, model) tuple of float
-        Mean in DN, and measured and model variance in DN2, of flat fields at rising mAs.
+        Photon transfer of flat fields with increasing mAs: mean in DN, measured variance and model variance in DN2.
     spr : (rows, cols) array
-        Scatter-to-primary ratio on the radiograph of the default knee, in cells of `spr_cell_mm`.
+        Scatter-to-primary-ratio map of the default knee, with cells of size `spr_cell_mm`.
     spr_cell_mm : float
-        Side of a cell, in mm; some 2 mm.
+        Cell size of the scatter-to-primary-ratio map in mm, about 2 mm.
     """
 
     rows: list[Row]
@@ -64,19 +64,19 @@ class QualityResult:
 def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda what: None) -> QualityResult:
     """Measure the image quality of a protocol: beam, detector, and a radiograph of the default knee.
 
-    A protocol for two knees is measured with one knee in front of the middle of the detector.
+    A protocol for two knees is measured with one knee at the centre of the detector.
 
     Parameters
     ----------
     protocol : Protocol
-        The protocol.
+        Protocol to measure.
     progress : callable
-        Called with the name of each part when it starts.
+        Function that is called with the name of each measurement when it starts.
 
     Returns
     -------
     QualityResult
-        Quantities with references, and curves.
+        Quantities with reference values, and measured curves.
     """
     protocol = replace(protocol, knee_distance_mm=0.0)
     radiographed, technique = resolve_technique(protocol), resolve_technique(replace(protocol, beam_along="horizontal"))
@@ -84,7 +84,7 @@ def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda
     values = compute_beam_quantities(technique)
     progress("detector")
     sharp, noise = measure_mtf(technique), measure_nnps(technique)
-    # The DQE is measured in its standard beam (RQA5), at an exposure in the middle of the range.
+    # The DQE is measured in the standard beam RQA5, at an exposure in the middle of the detector range.
     efficiency = measure_dqe(technique.replace_protocol(tube_kv=70.0, filtration_mm_al=23.5, mas=3.0, mono_kev=None))
     transfer = measure_photon_transfer(technique)
     progress("radiograph")
@@ -107,13 +107,13 @@ def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda
 
 
 def _worst_ratio(curve: FrequencyCurve, up_to_per_mm: float) -> float:
-    """Return the ratio of measured to model that differs most from 1, up to a frequency."""
+    """Return the ratio of measured to model value that differs most from 1, for frequencies up to a limit."""
     ratio = (curve.measured / curve.model)[(curve.frequency_per_mm > 0) & (curve.frequency_per_mm <= up_to_per_mm)]
     return float(ratio[np.abs(ratio - 1).argmax()])
 
 
 def _make_row(name: str, value: float, protocol: Protocol, known_values: ReferenceTables) -> Row:
-    """Make the row of one quantity, with its reference if one applies to the protocol."""
+    """Make the table row of one quantity, with its reference value if one applies to the protocol."""
     row: Row = {"quantity": name, "value": f"{value:.5g}", "reference": "", "low": "", "high": "", "source": ""}
     beam = known_values.beam.get(f"{protocol.tube_kv:g}_{protocol.filtration_mm_al:g}")
     if name in _BEAM_QUANTITIES and beam and protocol.anode_angle_deg == 12.0 and protocol.mono_kev is None:

@@ -1,7 +1,7 @@
-"""Measurement of displayed radiographs: localisation, resampling to one pixel size, histogram matching, features.
+"""Measurement of displayed radiographs: localisation, resampling to a common pixel size, histogram matching, features.
 
-The image is resampled before its histogram is matched. A tone curve then only affects what interpolation and blur
-make of neighbouring pixels.
+The image is resampled before its histogram is matched. An unknown tone curve then affects the result only through
+interpolation and blur of neighbouring pixels.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -46,13 +46,13 @@ from .localisation.second_knee import has_second_knee
 from .localisation.templates import MAX_SEARCH_PIXEL_MM, Template, compute_density
 from .radiomics_tables import RadiomicsTables
 
-# Families that histogram matching leaves meaningful; see `match_template_histogram`.
+# Feature families that remain informative after histogram matching; see `match_template_histogram`.
 TONE_INVARIANT_FAMILIES = tuple(family for family in FAMILIES if family != "firstorder")
 UNREADABLE = "unreadable"
 
 
 class DisplayedImage(Protocol):
-    """A displayed radiograph, such as `io.patients.patient_radiographs.FilmImage`."""
+    """Interface of a displayed radiograph, such as `io.patients.patient_radiographs.FilmImage`."""
 
     @property
     def pixels(self) -> Array:
@@ -60,29 +60,29 @@ class DisplayedImage(Protocol):
 
     @property
     def pixel_mm(self) -> float | None:
-        """Pixel size in mm; None if the file gives none."""
+        """Pixel size in mm; None if the file does not contain it."""
 
     @property
     def side(self) -> str | None:
-        """ "right" or "left"; None if the file gives no side."""
+        """Knee side, "right" or "left"; None if the file does not contain it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DisplayExtractionSettings:
-    """Settings for the measurement of displayed radiographs: everything, except pixels, that a record depends on.
+    """Settings for the measurement of displayed radiographs.
 
     Parameters
     ----------
     pixel_mm : float
         Pixel size to which radiographs are resampled, 0.02 to 20 mm.
     region_px : int
-        Side of the region in pixels of that size, 16 to 4096.
+        Edge length of the region, 16 to 4096 resampled pixels.
     bins : int
         Number of grey-level bins.
     families : tuple of str
-        Families of features. The default leaves out first-order features, which depend on the tone curve.
+        Feature families. The default omits first-order features, which depend on the tone curve.
     backend : str
-        "pyradiomics" or "mirp"; by default the first that is installed.
+        Feature library, "pyradiomics" or "mirp". The default is pyradiomics if it is installed, else MIRP.
 
     Raises
     ------
@@ -97,27 +97,27 @@ class DisplayExtractionSettings:
     backend: str = field(default_factory=default_backend)
 
     def __post_init__(self) -> None:
-        """Check the ranges of pixel size and region."""
+        """Check the ranges of pixel size and region size."""
         require_in_range("pixel_mm of films", self.pixel_mm, 0.02, 20, "mm")
         require_integer("region_px at pixel_mm of films", self.region_px, 16, 4096, "pixels")
 
 
 def require_plateau_width(templates: Sequence[Template]) -> None:
-    """Require templates with a known plateau width, from which the pixel size of a radiograph can be estimated.
+    """Check that the templates have a plateau width, which is needed to estimate the pixel size of a radiograph.
 
     Parameters
     ----------
     templates : sequence of Template
-        Template radiographs; the first one is checked.
+        Template radiographs. The first template is checked.
 
     Raises
     ------
     InputError
-        There is no template, or the first has no plateau width.
+        `templates` is empty, or the first template has no plateau width.
     """
     if not templates or templates[0].plateau_mm is None:
         raise InputError(
-            "template plateau_mm must be its width in mm, got plateau_mm = None: it is needed to estimate pixel sizes"
+            "template plateau_mm must be the width in mm, got plateau_mm = None: it is needed to estimate pixel size"
         )
 
 
@@ -132,23 +132,23 @@ def measure_display(
 ) -> Measurement:
     """Measure one displayed radiograph.
 
-    Side and pixel size are those of the job, else those of the file, else they are estimated. A radiograph that cannot
-    be read, or in which no knee is found, has no features.
+    Side and pixel size are taken from the job, else from the file, else they are estimated. The record has no features
+    if the radiograph cannot be read or no knee is found.
 
     Parameters
     ----------
     job : MeasurementJob
         Radiograph to measure.
     load_pixels : callable
-        Function of the file name that returns the displayed image.
+        Function that returns the displayed image, given the file name.
     templates : sequence of Template
-        Template radiographs; the first one also gives the histogram and the plateau width.
+        Template radiographs. The first template also provides the histogram and the plateau width.
     settings : DisplayExtractionSettings
         Settings of the measurement.
     tables : RadiomicsTables
-        Settings of the localisation, and feature tags.
+        Localisation settings and IBSI tags.
     code : dict of str to str
-        Hashes of the code where the run started, from `compute_code_hashes`.
+        Code hashes of the process that started the run, from `compute_code_hashes`.
 
     Returns
     -------
@@ -160,14 +160,14 @@ def measure_display(
     Raises
     ------
     InputError
-        The code on this machine is another.
+        The code of this process differs from `code`.
     """
     require_same_code(code)
     began = perf_counter()
     refused = UNREADABLE
     try:
         film = load_pixels(job.file)
-        refused = "no knee"  # The image may be too small for a search.
+        refused = "no knee"  # A later InputError means that the image is too small for a search.
         side, pixel_mm = job.side or film.side, job.pixel_mm or film.pixel_mm
         joint = locate_joint_in_display(film.pixels, templates, tables.localisation, side, pixel_mm)
     except InputError:
@@ -202,22 +202,22 @@ def measure_linear(
 ) -> Measurement:
     """Measure one radiograph with linear pixels of any pixel size.
 
-    A radiograph of the requested pixel size is measured without resampling; see `measure_radiograph`.
+    If the radiograph has the pixel size of `settings`, it is measured without resampling; see `measure_radiograph`.
 
     Parameters
     ----------
     job : MeasurementJob
         Radiograph to measure, with known side and pixel size.
     load_pixels : callable
-        Function of the file name that returns linear pixels (rows, cols), DN.
+        Function that returns linear pixels (rows, cols) in DN, given the file name.
     templates : sequence of Template
         Template radiographs.
     settings : DisplayExtractionSettings
         Settings of the measurement.
     tables : RadiomicsTables
-        Settings of the localisation, and feature tags.
+        Localisation settings and IBSI tags.
     code : dict of str to str
-        Hashes of the code where the run started, from `compute_code_hashes`.
+        Code hashes of the process that started the run, from `compute_code_hashes`.
 
     Returns
     -------
@@ -229,7 +229,7 @@ def measure_linear(
     Raises
     ------
     InputError
-        The code on this machine is another.
+        The code of this process differs from `code`.
     """
     require_same_code(code)
     assert job.side is not None
@@ -266,7 +266,7 @@ def measure_linear(
 
 
 def _make_given_columns(job: MeasurementJob) -> Record:
-    """Make the columns of a radiograph with linear pixels and known side and pixel size."""
+    """Make the record columns of side, polarity and pixel size for a radiograph with linear pixels."""
     said = {"film_side": job.side, "film_polarity": "linear"}
     return said | {"film_pixel_from": "given", "film_pixel_mm": job.pixel_mm}
 
@@ -274,9 +274,9 @@ def _make_given_columns(job: MeasurementJob) -> Record:
 def _count_knees(
     density: Array, record: Record, pixel_mm: float, templates: Sequence[Template], table: LocalisationSettings
 ) -> str:
-    """Count the knees on a radiograph in which one was found; return "one" or "two", or "" if none was found.
+    """Return "two" if both knees are on a radiograph, "one" if one knee is, and "" if no knee was found.
 
-    `density` (rows, cols) has square pixels, in any unit, whose size is `pixel_mm`.
+    `density` (rows, cols) has square pixels of size `pixel_mm`, in any unit.
     """
     if record["status"] != "found":
         return ""
@@ -285,7 +285,7 @@ def _count_knees(
 
 
 def _make_record(job: MeasurementJob, joint: JointLocation, region: Array | None) -> Record:
-    """Make the columns of the localisation; the status is "leaves image" if the region does not fit."""
+    """Make the record columns of the localisation; status is "leaves image" if the region extends beyond the image."""
     status = "leaves image" if joint.status == "found" and region is None else joint.status
     record: Record = {"radiograph": job.radiograph, "sha256": job.sha256, "status": status}
     record |= {"film_side": joint.side, "film_polarity": joint.polarity}
@@ -307,19 +307,19 @@ def locate_joint_in_display(
     table : LocalisationSettings
         Search settings and thresholds.
     side : {"right", "left"} or None
-        Side of the knee; None if it is not known.
+        Left or right knee; None if unknown.
     pixel_mm : float or None
-        Pixel size, in mm; None if it is not known.
+        Pixel size, in mm; None if unknown.
 
     Returns
     -------
     JointLocation
-        Location, in the pixels of the radiograph.
+        Location of the joint, in pixels of the radiograph.
 
     Raises
     ------
     InputError
-        `locate_joint` raises an InputError.
+        The arguments are invalid; see `locate_joint`.
     """
     step = 1 if pixel_mm is None else max(1, int(MAX_SEARCH_PIXEL_MM / pixel_mm))
     if step == 1:
@@ -332,9 +332,9 @@ def locate_joint_in_display(
 def cut_resampled_region(
     pixels: NDArray[np.integer | np.floating], joint: JointLocation, pixel_mm: float, region_px: int
 ) -> Array | None:
-    """Cut out the square region about the joint line at another pixel size, without aliasing.
+    """Resample the square region around the joint line to another pixel size, without aliasing.
 
-    A Gaussian removes detail that the new pixel size cannot represent. Cubic splines interpolate between pixels.
+    A Gaussian filter removes detail that the new pixel size cannot represent. Cubic splines interpolate between pixels.
 
     Parameters
     ----------
@@ -345,12 +345,12 @@ def cut_resampled_region(
     pixel_mm : float
         Pixel size of the region, in mm.
     region_px : int
-        Side of the region, in pixels of that size.
+        Edge length of the region, in resampled pixels.
 
     Returns
     -------
     (region_px, region_px) array or None
-        Region with the joint line at the centre of pixel region_px // 2; None if it extends beyond the image.
+        Region with the joint line at the centre of pixel region_px // 2; None if the region extends beyond the image.
     """
     pixels, ratio = resample_to_square_pixels(pixels, joint.pixel_height), pixel_mm / joint.pixel_mm
     offsets = (np.arange(region_px) - region_px // 2) * ratio
@@ -367,25 +367,25 @@ def cut_resampled_region(
 
 
 def match_template_histogram(region: Array, template: Template, pixel_mm: float) -> NDArray[np.uint16]:
-    """Give a displayed region the histogram of the same region in the template (Gonzalez and Woods 2018, 3.3).
+    """Match the histogram of a displayed region to that of a template region (Gonzalez and Woods 2018, 3.3).
 
-    The tone curve of a displayed radiograph is unknown: any increasing curve may relate signal and grey value.
-    Histogram matching removes it, except where it is flat. First-order features then carry no information, since they
-    are those of the template.
+    The tone curve of a displayed radiograph is unknown: grey value may be any increasing function of the signal.
+    Histogram matching inverts the tone curve, except where the curve is flat. First-order features then carry no
+    information, because they equal those of the template.
 
     Parameters
     ----------
     region : (size, size) array, grey
         Displayed grey values, bone bright.
     template : Template
-        Template whose signal gives the histogram.
+        Template whose signal provides the histogram.
     pixel_mm : float
         Pixel size of the region, in mm.
 
     Returns
     -------
     (size, size) uint16 array
-        Estimated linear signal, DN.
+        Estimated linear signal, in DN.
     """
     half_mm = region.shape[0] * pixel_mm / 2
     signal = _cut_template_region(template, half_mm)
@@ -394,7 +394,7 @@ def match_template_histogram(region: Array, template: Template, pixel_mm: float)
 
 
 def _cut_template_region(template: Template, half_mm: float) -> Array:
-    """Cut out the linear signal (rows, cols) of a template within a distance of its joint line, in mm."""
+    """Cut out the linear signal (rows, cols) of a template within `half_mm` of its medial joint line."""
     reach = half_mm / template.pixel_mm
     top, left = (max(0, round(at - reach)) for at in (template.row, template.col))
     bottom, right = (round(at + reach) for at in (template.row, template.col))

@@ -1,4 +1,4 @@
-"""Radiomics tables: settings of the localisation and IBSI tags, read together when a measurement begins."""
+"""Radiomics tables: localisation settings and IBSI tags, loaded together before a measurement."""
 
 from functools import cache
 
@@ -8,14 +8,14 @@ from ..data.table_records import Record
 
 
 class RadiomicsTables(Record, frozen=True):
-    """Tables that localisation and measurement need.
+    """Tables for localisation and feature measurement.
 
     Attributes
     ----------
     localisation : LocalisationSettings
-        Search settings, and thresholds below which a match is rejected.
+        Search settings and rejection thresholds of the localisation.
     tags : dict of str to dict of str to str
-        Family to feature to its IBSI tag; see `load_ibsi_tags`.
+        IBSI tag of each feature, keyed by family and then by feature name; see `load_ibsi_tags`.
     """
 
     localisation: LocalisationSettings
@@ -29,6 +29,6 @@ def radiomics_tables() -> RadiomicsTables:
     Returns
     -------
     RadiomicsTables
-        Settings and tags.
+        Localisation settings and IBSI tags.
     """
     return RadiomicsTables(localisation=load_localisation_settings(), tags=load_ibsi_tags())

@@ -1,12 +1,13 @@
 """Ray casting: path lengths in each material, silhouettes, and checks of a scene.
 
-`trace` computes path lengths as arrays of shape (rows, cols), and `trace_sparse` the same without the air beside the
-object. `check` lists what is wrong with a scene. `compute_silhouette` finds the pixels that a mesh covers.
+`trace` computes path lengths as arrays of shape (rows, cols). `trace_sparse` computes the same path lengths and does
+not store the air beside the object. `check` lists the faults of a scene. `compute_silhouette` finds the pixels that a
+mesh covers.
 
 path_lengths        records that `trace` returns
 scene_check         `check` and its report
-surface_overlaps    surfaces that contradict each other, or overlap themselves
-density_mismatch    surfaces that state the wrong density of their surroundings
+surface_overlaps    surfaces whose outside material is wrong, and meshes that overlap themselves
+density_mismatch    surfaces whose outside density differs from that of the surrounding material
 negative_paths      negative path lengths and their causes
 detector_clearance  distance between the leg and the detector
 engines             projection of surfaces, ray casting (Embree, scanline) and integrals along rays
@@ -80,10 +81,10 @@ __all__ = [
 ENGINES = ("embree", "scanline")
 # Number types of the path lengths.
 PRECISIONS = ("float32", "float64")
-# Sums of path lengths (rows, cols) per material.
+# Path length map (rows, cols) of each material.
 Sums = dict[str, NDArray[Any]]
-# Keys are a material and the identity of its density. Values are the density, the crossings of the surfaces that bound
-# it with their signs, and the names of these surfaces.
+# Each key is a material name with the id() of its density object. Each value has three entries: the density, the
+# crossings of its bounding surfaces with their signs, and the names of these surfaces.
 _DensityGroups = dict[tuple[str, int], tuple[Density, list[tuple[Crossings, int]], list[str]]]
 
 
@@ -107,21 +108,21 @@ def trace(
     protocol : Protocol or View
         Source and detector. A protocol with ``texture="none"`` also switches texture off.
     engine : {"embree", "scanline"}, default "embree"
-        Ray caster. Embree casts rays and repairs doubtful ones; the scanline engine projects triangles, in float64.
+        Ray caster. Embree casts rays and recomputes doubtful ones; the scanline engine projects triangles, in float64.
     materials : iterable of str, optional
-        Materials to return; by default all except the ambient one. The path in the ambient material is counted only
-        inside the box around the scene.
+        Materials to return; by default all except the ambient material. The path in the ambient material is measured
+        only inside the bounding box of the scene.
     precision : {"float32", "float64"}, default "float32"
-        Number type of the result. The rounding error of float32 is 4e-6 mm in 100 mm.
+        Number type of the path lengths. The rounding error of float32 is 4e-6 mm for a path of 100 mm.
     texture : bool, default True
-        If False, every material has its own constant density.
+        If True, trabecular bone has its varying density. If False, the density of every material is constant.
     workers : int, default 2
         Number of threads, from 1 to 256; it does not change the result.
 
     Returns
     -------
     Paths
-        Path lengths in mm, (rows, cols) per material, and the audit of the rays.
+        Path lengths in mm, (rows, cols) per material, and counts of cast and recomputed rays.
 
     Raises
     ------
@@ -140,12 +141,13 @@ def trace(
 
     Notes
     -----
-    A closed surface contributes sign x F(t) at each crossing, + where the ray leaves and - where it enters. F(t) is t,
-    or the integral of the density of the surface up to t. The path in a material is the sum over surfaces that have it
-    inside, minus the sum over surfaces that have it outside. Sums are in float64.
+    Each crossing of a ray with a closed surface contributes sign x F(t), where t is the distance along the ray. The
+    sign is + where the ray leaves the surface and - where it enters. F(t) is t for a constant density. For a varying
+    density, F(t) is the integral of the density from the source to t. The path in a material is the sum over surfaces
+    with the material inside, minus the sum over surfaces with the material outside. Sums are computed in float64.
 
-    Parts behind the source or behind the detector do not count. Where a mesh overlaps itself, the path counts once per
-    turn of the mesh around it.
+    Parts of a surface behind the source or behind the detector are ignored. Where a mesh overlaps itself, the path
+    length is multiplied by the winding number.
 
     Examples
     --------
@@ -169,7 +171,7 @@ def trace(
 def trace_sparse(
     scene: Scene, protocol: Protocol | View, *, engine: str = "embree", texture: bool = True, workers: int = 2
 ) -> tuple[dict[str, SparseMap], Audit]:
-    """Compute path lengths like `trace`, stored without the air beside the object.
+    """Compute the path lengths of `trace` and store them without the air beside the object.
 
     Parameters
     ----------
@@ -180,14 +182,14 @@ def trace_sparse(
     engine : {"embree", "scanline"}, default "embree"
         Ray caster.
     texture : bool, default True
-        If False, every material has its own constant density.
+        If True, trabecular bone has its varying density. If False, the density of every material is constant.
     workers : int, default 2
         Number of threads, from 1 to 256; it does not change the result.
 
     Returns
     -------
     path_mm : dict of str to SparseMap
-        Path lengths in mm, (rows, cols) per material except the ambient one.
+        Path lengths in mm, (rows, cols) per material except the ambient material.
     audit : Audit
         Counts of the rays that were cast and repaired.
 
@@ -214,7 +216,7 @@ def _has_no_texture(protocol: Protocol | View) -> bool:
 def _fill_path_maps(
     scene: Scene, view: View, path_mm: Mapping[str, Any], engine: str, textureless: bool, workers: int
 ) -> Audit:
-    """Fill the maps (rows, cols), in mm, of the requested materials and return the audit of all rays."""
+    """Fill the path length maps (rows, cols), in mm, of the requested materials; return the counts of all rays."""
     require_choice("engine", engine, ENGINES)
     require_workers(workers)
     with ThreadPoolExecutor(workers) as pool:
@@ -230,7 +232,7 @@ def _fill_path_maps(
 
 
 def _select_materials(scene: Scene, materials: Iterable[str] | None) -> list[str]:
-    """Return the requested materials, each once and in the order given; by default all but the ambient one."""
+    """Return the requested materials in the given order, without duplicates; by default all except the ambient one."""
     if materials is None:
         return list(scene.materials[1:])
     if isinstance(materials, str) or not isinstance(materials, Iterable):
@@ -247,7 +249,7 @@ def compute_silhouette(mesh: "trimesh.Trimesh | Mesh", protocol: Protocol | View
     Parameters
     ----------
     mesh : trimesh.Trimesh or Mesh
-        Closed mesh in mm. A mesh without faces covers no pixel, such as an osteophyte inside the bone.
+        Closed mesh in mm. A mesh without faces, such as an osteophyte inside the bone, covers no pixel.
     protocol : Protocol or View
         Source and detector.
 
@@ -272,19 +274,19 @@ def compute_silhouette(mesh: "trimesh.Trimesh | Mesh", protocol: Protocol | View
 
 
 def compute_scene_silhouette(scene: Scene, view: View) -> NDArray[np.bool_]:
-    """Find the pixels that are covered by surfaces which border the ambient material.
+    """Find the pixels that are covered by any surface in contact with the ambient material.
 
     Parameters
     ----------
     scene : Scene
-        Closed surfaces; those whose outside is the ambient material count.
+        Closed surfaces; only those whose outside material is the ambient material are used.
     view : View
         Source and detector.
 
     Returns
     -------
     (rows, cols) bool array
-        True where a ray crosses one of these surfaces.
+        True where the ray to the pixel crosses such a surface.
     """
     seen = np.zeros((view.rows, view.cols), np.bool_)
     for surface in scene.surfaces:
@@ -304,7 +306,7 @@ def _add_silhouette(silhouette: NDArray[np.bool_], sheet: ProjectedSurface) -> N
 
 @dataclass(frozen=True)
 class _Layer:
-    """A surface, its inside and outside densities, its projection, and the caster of its rays."""
+    """Surface with its inside and outside densities, its projection, and the ray caster for it."""
 
     surface: Surface
     densities: tuple[Density | None, Density | None]
@@ -315,9 +317,9 @@ class _Layer:
 def _build_layers(surfaces: list[Surface], view: View, engine: str, textureless: bool, pool: Executor) -> list[_Layer]:
     """Build one layer for each surface that covers a pixel.
 
-    InputError is raised for a surface that passes through the source.
+    A surface that passes through the source raises InputError.
     """
-    # The import is local, because Embree is not needed for the scanline engine.
+    # Embree is imported only when it is used, because the scanline engine does not need it.
     if engine == "embree":
         from .engines.embree import Caster
     else:
@@ -334,7 +336,7 @@ def _build_layers(surfaces: list[Surface], view: View, engine: str, textureless:
 
 
 def _source_winding(sheet: ProjectedSurface, view: View, name: str) -> int:
-    """Count how often a surface encloses the source; the signs of the crossings of every ray add up to this number."""
+    """Compute the winding number of a surface around the source: the sum of the crossing signs of every ray."""
     if not sheet.is_clipped:
         return 0
     bands = [
@@ -350,7 +352,7 @@ def _source_winding(sheet: ProjectedSurface, view: View, name: str) -> int:
 
 
 def _trace_band(scene: Scene, view: View, layers: list[_Layer], path_mm: Mapping[str, Any], first: int) -> Audit:
-    """Fill the rows of one band in every material and return the audit of its rays."""
+    """Fill one band of rows in the path length map of every material; return the counts of its rays."""
     stop = min(first + BAND_ROWS, view.rows)
     sums = {material: np.zeros((stop - first, view.cols)) for material in path_mm}
     frame, touched, audits = make_ray_frame(view), {scene.ambient}, [Audit()]
@@ -373,7 +375,8 @@ def _trace_band(scene: Scene, view: View, layers: list[_Layer], path_mm: Mapping
             else:
                 _add_window(sums[material], chord, top - first, sheet.cols[0], sign)
     for (material, _), (density, parts, names) in varying.items():
-        # Surfaces that share a density are integrated together, so that each segment between them counts once.
+        # Surfaces that share a density are merged before the integration, because segments inside both would otherwise
+        # be integrated twice.
         whole = merge_crossings(parts)
         try:
             integral = integrate_along_rays(whole, frame, density)
@@ -394,7 +397,7 @@ def _add_window(sums: Array, lengths: Array, row: int, col: int, sign: int) -> N
 
 
 def _cast_layer(layer: _Layer, top: int, bottom: int) -> tuple[Array, Crossings | None, Audit]:
-    """Compute the chords of a surface, its crossings if it has a density, and the audit of its rays."""
+    """Compute the chords inside a surface and count its rays; also return the crossings if its density varies."""
     if layer.densities == (None, None):
         chord, audit = layer.caster.trace_chords(top, bottom)
         return chord, None, audit

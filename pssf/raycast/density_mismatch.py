@@ -1,7 +1,7 @@
-"""Check that every surface states the density of the material that surrounds it.
+"""Check that the `outside_density` of every surface is the density of the surrounding material.
 
-A surface subtracts its outside material from the path length at the density given by `outside_density`. If the material
-around it has another density, the path length is wrong.
+Inside a surface, `trace` subtracts the path in the outside material, weighted by `outside_density`. If the surrounding
+material has another density, the path length is wrong.
 """
 
 from ..core.checks import InputError
@@ -21,19 +21,19 @@ def is_same_density(one: Density | None, other: Density | None) -> bool:
     Returns
     -------
     bool
-        True if both are the same object, or compare equal. Densities that hold arrays are equal only if they are the
+        True if both are the same object, or compare equal. Densities with array fields are equal only if they are the
         same object.
     """
     if one is other:
         return True
     try:
         return one is not None and bool(one == other)
-    except ValueError:  # Fields that hold arrays have no single truth value.
+    except ValueError:  # Comparing array fields gives no single truth value.
         return False
 
 
 def find_density_faults(scene: Scene) -> list[Fault]:
-    """Find surfaces whose `outside_density` matches no surrounding surface.
+    """Find surfaces whose `outside_density` is not the inside density of any surrounding surface.
 
     Parameters
     ----------
@@ -43,12 +43,12 @@ def find_density_faults(scene: Scene) -> list[Fault]:
     Returns
     -------
     list of Fault
-        One fault per surface for which no surface with that inside material has the stated density.
+        One fault per surface whose outside material occurs inside other surfaces, but never with its `outside_density`.
 
     Notes
     -----
-    The path length in the outside material would be too short by the wrong integral. Example: a screw in trabecular
-    bone that states no `outside_density` removes bone at full density.
+    A wrong `outside_density` removes the wrong amount of the outside material. Example: a screw in trabecular bone
+    without an `outside_density` removes bone at full density, so the bone path is too short.
     """
     return [
         _make_density_fault(surface, around)
@@ -58,7 +58,7 @@ def find_density_faults(scene: Scene) -> list[Fault]:
 
 
 def require_matching_densities(scene: Scene) -> None:
-    """Raise an error if a surface states the wrong density of its surroundings.
+    """Raise an error if the `outside_density` of a surface is not the density of the surrounding material.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def require_matching_densities(scene: Scene) -> None:
     Raises
     ------
     InputError
-        If `find_density_faults` finds a fault; the message names each surface and what to do.
+        If `find_density_faults` finds a fault. The message names each surface and the remedy.
     """
     faults = find_density_faults(scene)
     if faults:
@@ -76,7 +76,7 @@ def require_matching_densities(scene: Scene) -> None:
 
 
 def _find_mismatched_surroundings(scene: Scene, surface: Surface) -> list[Surface]:
-    """List the surfaces that may surround one, if all of them have another density than it states; else return none."""
+    """List the possible surroundings of a surface if none has its `outside_density`; otherwise return an empty list."""
     around = [one for one in scene.surfaces if one.inside == surface.outside and one is not surface]
     held = [one.inside_density for one in around] + [None] * (surface.outside == scene.ambient)
     return [] if any(is_same_density(density, surface.outside_density) for density in held) else around
@@ -91,6 +91,6 @@ def _make_density_fault(surface: Surface, around: list[Surface]) -> Fault:
         problem=f"outside_density must be that of the {surface.outside} around it (inside {names}), got {given}",
         count=0,
         first_items=(),
-        outcome="refused",
+        outcome="error",
         hint="pass that surface's inside_density, or insert the body with built.insert(mesh, material, name=)",
     )

@@ -1,4 +1,4 @@
-"""Clearance between the leg and the detector, so that no ray ends inside the leg."""
+"""Check or adjust the distance between leg and detector, so that no ray ends inside the leg."""
 
 from dataclasses import replace
 
@@ -17,14 +17,14 @@ def require_detector_clearance(scene: Scene, protocol: Protocol) -> None:
     Parameters
     ----------
     scene : Scene
-        Closed surfaces of the leg; those whose outside is air count.
+        Closed surfaces of the leg; only surfaces in contact with air are used.
     protocol : Protocol
         Source and detector.
 
     Raises
     ------
     InputError
-        If the leg reaches behind the detector; the message gives the largest possible `sod_mm`.
+        If the leg reaches behind the detector. The message gives the largest allowed `sod_mm`.
     """
     behind_mm = _depth_behind_detector_mm(scene, protocol)
     if behind_mm > 0:
@@ -37,13 +37,13 @@ def require_detector_clearance(scene: Scene, protocol: Protocol) -> None:
 def move_clear_of_detector(scene: Scene, protocol: Protocol) -> Protocol:
     """Move the joint towards the source until the leg is in front of the detector.
 
-    The distance `sod_mm` decreases in whole millimetres, and in most cases not at all. In reality, a large thigh
-    touches the detector cover and keeps the knee away from it.
+    The distance `sod_mm` decreases in steps of 1 mm; most knees need no change. In reality, a large thigh touches the
+    detector cover and keeps the knee away from the detector.
 
     Parameters
     ----------
     scene : Scene
-        Closed surfaces of the leg; those whose outside is air count.
+        Closed surfaces of the leg; only surfaces in contact with air are used.
     protocol : Protocol
         Source and detector.
 
@@ -58,7 +58,7 @@ def move_clear_of_detector(scene: Scene, protocol: Protocol) -> Protocol:
 
 
 def _depth_behind_detector_mm(scene: Scene, protocol: Protocol) -> float:
-    """Measure how far the visible skin reaches behind the detector, in mm; 0 or less if it does not."""
+    """Measure how far the skin in the field of view reaches behind the detector, in mm; 0 or less if it is in front."""
     view = resolve_view(protocol)
     shares = [0.0]
     for surface in (one for one in scene.surfaces if one.outside == "air"):

@@ -1,4 +1,4 @@
-"""Find negative path lengths, explain their cause, and reject those beyond the tolerance."""
+"""Find negative path lengths, explain their cause, and raise an error for those beyond the tolerance."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -23,7 +23,7 @@ class ShortestPath(NamedTuple):
     min_path_mm : float
         Shortest path length, in mm; 0 if no ray has a negative one.
     row, col : int
-        Pixel at which it occurs.
+        Row and column of the pixel with the shortest path.
     negative_rays : int
         Number of rays with a path length below the rounding error of 1e-4 mm.
     """
@@ -34,17 +34,17 @@ class ShortestPath(NamedTuple):
     negative_rays: int
 
 
-# Rounding error of a path length, in mm: 1e-6 by the scanline engine, 1e-4 by Embree.
+# Largest rounding error of a path length, in mm: 1e-6 for the scanline engine, 1e-4 for Embree.
 _ROUNDING_MM = 1e-4
 
 
 def find_shortest_paths(scene: Scene, view: View) -> dict[str, ShortestPath]:
-    """Compute the shortest path length in every material but the ambient one.
+    """Compute the shortest path length in every material except the ambient material.
 
     Parameters
     ----------
     scene : Scene
-        Closed surfaces; every material has its own constant density here.
+        Closed surfaces; every material is traced with a constant density.
     view : View
         Source and detector that define the rays.
 
@@ -75,7 +75,7 @@ def find_shortest_paths(scene: Scene, view: View) -> dict[str, ShortestPath]:
 
 
 def require_nonnegative_paths(path_maps: Mapping[str, Any], scene: Scene, view: View) -> None:
-    """Raise an error if a path length is more negative than mesh folds and rounding explain.
+    """Raise an error if a path length is more negative than small folds of a mesh and rounding can explain.
 
     Parameters
     ----------
@@ -89,7 +89,8 @@ def require_nonnegative_paths(path_maps: Mapping[str, Any], scene: Scene, view: 
     Raises
     ------
     InputError
-        If a path length is below -0.05 mm; the message names material, length, pixel and the surfaces that cause it.
+        If a path length is below -0.05 mm. The message names the material, the length, the pixel and the surfaces
+        responsible.
     """
     for material, lengths in path_maps.items():
         if not lengths.min() >= -OVERLAP_TOLERANCE_MM:
@@ -114,7 +115,7 @@ def explain_negative_path(scene: Scene, view: View, material: str, row: int, col
     material : str
         Material whose path length is negative.
     row, col : int
-        Pixel at which it is negative.
+        Row and column of a pixel with a negative path length.
 
     Returns
     -------

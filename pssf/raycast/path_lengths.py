@@ -1,4 +1,4 @@
-"""Records that a trace returns: path lengths, and the audit of the rays."""
+"""Results of ray casting: path lengths, and counts of cast and recomputed rays."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, fields
@@ -9,30 +9,32 @@ from numpy.typing import NDArray
 from ..geometry.scene import Scene
 from ..geometry.view import View
 
-# Tolerance of negative path lengths and of overlaps, in mm. A closed mesh with microscopic folds has negative paths: a
-# ray at its outline that crosses only the fold passes it backwards. Of 154 closed meshes of bones and menisci made from
-# scans (Clouthier 2019, Lenhart 2015), one has folds. They are 0.0008 mm deep, and rays along one of them gave -0.034
-# mm. The tolerance exceeds that, is a third of a pixel, and changes the transmission of bone by 0.4 % at 50 keV. It
-# also applies to surfaces that nearly coincide, such as the common wall of two tissues.
+# Tolerance of negative path lengths and of overlaps, in mm. A closed mesh with microscopic folds gives negative path
+# lengths, because a ray at the outline may cross only the fold, and cross it inside out. One of 154 closed meshes of
+# bones and menisci from scans (Clouthier 2019, Lenhart 2015) has such folds. They are 0.0008 mm deep, and a ray along a
+# fold had a path length of -0.034 mm. The tolerance exceeds this length and is a third of a pixel. It changes the
+# transmission of bone by 0.4 % at 50 keV. It also applies to surfaces that nearly coincide, such as the common boundary
+# of two tissues.
 OVERLAP_TOLERANCE_MM = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
 class Audit:
-    """Counts of rays over all surfaces; one ray is one pixel and one surface.
+    """Counts of rays over all surfaces; each combination of a pixel and a surface is one ray.
 
     Attributes
     ----------
     rays : int
-        Rays traced: the pixels in the projected box of a surface (scanline), or those of them that cross it (Embree).
+        Number of rays traced. The scanline engine includes all pixels in the bounding box of a projected surface, and
+        Embree only the pixels whose rays cross the surface.
     unbalanced : int
-        Rays with missed crossings: too few of them, or signs that do not add up.
+        Rays with missed crossings: too few crossings, or a wrong sum of crossing signs.
     imprecise : int
-        Rays with a crossing too close to an edge, or too grazing, for float32.
+        Rays with a crossing that float32 cannot resolve, because it is too close to an edge or too grazing.
     repaired : int
-        Rays recomputed in float64 by the scanline engine: all unbalanced and all imprecise ones.
+        Rays recomputed in float64 by the scanline engine: all unbalanced and all imprecise rays.
     unrepaired : int
-        Rays that are unbalanced even after the repair; always 0.
+        Rays that are unbalanced even after recomputation; always 0.
     """
 
     rays: int = 0
@@ -42,7 +44,7 @@ class Audit:
     unrepaired: int = 0
 
     def counts(self) -> dict[str, int]:
-        """Return the counts as a table row.
+        """Return the counts as a mapping.
 
         Returns
         -------
@@ -54,20 +56,20 @@ class Audit:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Paths:
-    """Path lengths of every ray from the source to a pixel centre.
+    """Path lengths of the rays from the source to all pixel centres.
 
-    Two records are equal if they refer to the same scene object and agree in everything else.
+    Two `Paths` are equal if they refer to the same scene object and all other fields are equal.
 
     Attributes
     ----------
     path_mm : dict of str to (rows, cols) array
-        Path length in each material, in mm; not below -0.05 mm.
+        Path length in each material, in mm; at least -0.05 mm.
     audit : Audit
         Counts of rays that were cast and repaired.
     view : View
         Source and detector of the rays.
     texture : str
-        ``"none"`` if every material had its own constant density, else ``"trabecular"``.
+        ``"none"`` if the density of every material was constant, else ``"trabecular"``.
     scene : Scene
         Scene that was traced.
     """
@@ -93,12 +95,12 @@ class Paths:
 
 
 def sum_audits(audits: Iterable[Audit]) -> Audit:
-    """Add up the audits of the parts of an image.
+    """Add up the ray counts of several surfaces and bands of rows.
 
     Parameters
     ----------
     audits : iterable of Audit
-        Audits of surfaces and of bands of rows.
+        Ray counts of each surface or band of rows.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Check a scene for faults before an image is made of it."""
+"""Check a scene for faults before a radiograph is simulated."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -24,13 +24,13 @@ from .negative_paths import explain_negative_path, find_shortest_paths
 from .path_lengths import OVERLAP_TOLERANCE_MM
 from .surface_overlaps import find_contradictions, find_self_overlaps
 
-# Number of sample rays along each side of the box around a scene.
+# Number of sample rays along each side of the detector that covers the bounding box of a scene.
 _SAMPLE_RAYS_PER_SIDE = 128
-# Distance from the source of the sample rays to the centre of the scene, in sizes of the scene.
+# Distance from the source of the sample rays to the centre of the scene, as a multiple of the scene size.
 _SOURCE_DISTANCE_FACTOR = 7.3
-# Problem of a surface outside the field of view; the command line looks for this text.
+# Problem text of a surface outside the field of view; the command line searches faults for this text.
 COVERS_NO_PIXEL = "covers no pixel"
-# Last words of a problem that is counted in sample rays.
+# End of the problem text of faults whose count is a number of sample rays.
 _SAMPLE_RAYS_LABEL = "number of sample rays affected"
 
 
@@ -43,7 +43,7 @@ class Report:
     Attributes
     ----------
     faults : tuple of Fault
-        Faults of the meshes first, in the order of `Scene.faults`, then warnings.
+        Faults of the scene in the order of `Scene.faults`, followed by warnings.
     """
 
     faults: tuple[Fault, ...]
@@ -51,7 +51,7 @@ class Report:
     @property
     def ok(self) -> bool:
         """True if `trace` accepts the scene."""
-        return not any(fault.outcome == "refused" for fault in self.faults)
+        return not any(fault.outcome == "error" for fault in self.faults)
 
     def __str__(self) -> str:
         return "\n".join(f"{fault.outcome}: {fault}" for fault in self.faults) or "no faults"
@@ -66,9 +66,9 @@ def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> R
     scene : Scene or object with a scene
         Closed surfaces, or an object that has them, such as the result of ``build(knee)``.
     protocol : Protocol or View, optional
-        Source and detector. With them, path lengths of that view are checked, and parts behind the source, behind the
-        detector or outside the field are reported. Without them, paths are checked along 128 x 128 rays through the
-        scene.
+        Source and detector. If given, path lengths are checked in this view, and surface parts behind the source,
+        behind the detector or outside the field are reported. If None, path lengths are checked along 128 x 128 rays
+        through the scene.
 
     Returns
     -------
@@ -78,23 +78,23 @@ def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> R
     Raises
     ------
     InputError
-        If `scene` is no scene, or `protocol` is neither a Protocol nor a View.
+        If `scene` is neither a Scene nor an object with one, or `protocol` is neither a Protocol nor a View.
 
     See Also
     --------
-    trace : Compute path lengths; it raises an error for the faults with outcome "refused".
+    trace : Compute path lengths; it raises an error for the faults with outcome "error".
 
     Notes
     -----
     Each fault has one of three outcomes:
 
-    - "refused": `trace` raises InputError.
-    - "mended": `trace` repairs the mesh.
-    - "noted": `trace` uses the scene as it is. This covers edges with more than two faces, and slightly negative paths.
-      It also covers meshes that overlap themselves, where the path counts once per turn of the mesh. Finally, it covers
-      surfaces whose outside material differs from the one that rays find there.
+    - "error": `trace` raises InputError.
+    - "repaired": `trace` repairs the mesh.
+    - "warning": `trace` uses the scene unchanged. Warnings are given for edges with more than two faces, and for
+      slightly negative path lengths. They are also given for meshes that overlap themselves, and for surfaces whose
+      outside material differs from the material that rays find around them.
 
-    Materials are only names here. `simulate` raises an error for unknown ones before rays are cast.
+    `check` does not look up material names. `simulate` raises an error for unknown materials before rays are cast.
 
     Examples
     --------
@@ -112,7 +112,7 @@ def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> R
     smooth = isinstance(protocol, Protocol) and protocol.texture == "none"
     if not smooth:
         faults += find_density_faults(scene)
-    if scene.surfaces and not any(fault.outcome == "refused" for fault in faults):
+    if scene.surfaces and not any(fault.outcome == "error" for fault in faults):
         sample = _make_sample_view(scene.bounds_mm)
         for surface in scene.surfaces:
             faults += _find_nonmanifold_edges(surface)
@@ -127,8 +127,8 @@ def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> R
 
 
 def _make_warning_fault(surface: str, what: str, count: int, first: tuple[object, ...], hint: str) -> Fault:
-    """Describe a fault that does not stop a trace."""
-    return Fault(surface=surface, problem=what, count=count, first_items=first, outcome="noted", hint=hint)
+    """Make a fault with the outcome "warning", which does not stop `trace`."""
+    return Fault(surface=surface, problem=what, count=count, first_items=first, outcome="warning", hint=hint)
 
 
 def _find_nonmanifold_edges(surface: Surface) -> list[Fault]:
@@ -153,7 +153,7 @@ def _find_dense_ambient(scene: Scene, tissue_table: Mapping[str, Tissue]) -> lis
     """Warn of an ambient material that is denser than a gas, if its density follows from its name."""
     tissue, _, given = tissue_table.get(scene.ambient), *scene.ambient.partition("@")[1:]
     try:
-        # A mixture of tissues states no density of its own; it is denser than any gas.
+        # A mixture of tissues has no entry for its density; it is denser than any gas, so 1 is assumed.
         density = float(given) if tissue is None else tissue.density or 1.0
     except ValueError:
         return []
@@ -164,9 +164,9 @@ def _find_dense_ambient(scene: Scene, tissue_table: Mapping[str, Tissue]) -> lis
 
 
 def _find_overlaps(scene: Scene, sample: View, textureless: bool) -> list[Fault]:
-    """Find meshes that overlap themselves, and surfaces that contradict each other, along sample rays.
+    """Find meshes that overlap themselves, and surfaces with a wrong outside material, along sample rays.
 
-    With `textureless`, differences in density alone do not count.
+    If `textureless` is True, surfaces that differ only in density are not reported.
     """
     faults = []
     for fold in find_self_overlaps(scene, sample):
@@ -186,7 +186,7 @@ def _find_overlaps(scene: Scene, sample: View, textureless: bool) -> list[Fault]
 
 
 def _find_negative_paths(scene: Scene, view: View) -> list[Fault]:
-    """Find materials with negative path lengths, both within and beyond the tolerance."""
+    """Find materials with negative path lengths, within the tolerance or beyond it."""
     faults = []
     for material, least in find_shortest_paths(scene, view).items():
         if least.min_path_mm < -OVERLAP_TOLERANCE_MM:
@@ -195,9 +195,7 @@ def _find_negative_paths(scene: Scene, view: View) -> list[Fault]:
                 f"{explain_negative_path(scene, view, material, least.row, least.col)}; "
                 f"it must be {-OVERLAP_TOLERANCE_MM:g} mm or more"
             )
-            faults.append(
-                replace(_make_warning_fault(material, what, least.negative_rays, (), hint), outcome="refused")
-            )
+            faults.append(replace(_make_warning_fault(material, what, least.negative_rays, (), hint), outcome="error"))
         elif least.negative_rays:
             what = f"path length is slightly negative, down to {least.min_path_mm:.4g} mm; number of rays affected"
             hint = "this happens where a mesh is folded; it is traced as it is"
@@ -206,7 +204,7 @@ def _find_negative_paths(scene: Scene, view: View) -> list[Fault]:
 
 
 def _make_sample_view(bounds_mm: Array) -> View:
-    """Make a view with nearly parallel rays through a whole box, parallel to no axis."""
+    """Make a view with nearly parallel, oblique rays that covers the whole bounding box."""
     centre, size = bounds_mm.mean(axis=0), float(np.ptp(bounds_mm, axis=0).max())
     source = centre + size * np.array([0.0137, -_SOURCE_DISTANCE_FACTOR, 0.0173])
     magnified = (_SOURCE_DISTANCE_FACTOR + 1) / (_SOURCE_DISTANCE_FACTOR - 0.5)

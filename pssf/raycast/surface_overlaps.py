@@ -1,9 +1,9 @@
-"""Find surfaces that contradict each other: their outside material differs from the one that rays find there.
+"""Find surfaces whose stated outside material differs from the material that rays find around them.
 
-At each point of a ray, a material has a count. The count is the number of surrounding surfaces with the material
-inside, minus the number with it outside. In a correct scene, one material has the count 1 and all others 0. Where a
-count is negative, the surfaces crossed before and after that point are examined. The outside material of each is
-compared with the inside material of the surface that was entered last and not yet left.
+At each point of a ray, every material has a count. The count is the number of enclosing surfaces with the material
+inside, minus the number with the material outside. In a correct scene, one material has the count 1 and all others have
+0. Where a count is negative, the surfaces crossed before and after the point are examined. The outside material of each
+is compared with the inside material of the innermost enclosing surface.
 """
 
 from bisect import bisect
@@ -31,28 +31,28 @@ from .engines.projected_surface import (
 )
 from .path_lengths import OVERLAP_TOLERANCE_MM
 
-# Text after the name of a material whose density differs from the one that a surface states.
+# Text after the name of a found material that differs from the stated outside material only in its density.
 _OTHER_DENSITY_SUFFIX = " of another density"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """A surface whose outside material differs from the one that rays find.
+    """Surface whose stated outside material differs from the material that rays find around it.
 
     Attributes
     ----------
     surface : str
         Name of the surface.
     stated_material : str
-        Outside material of the surface.
+        Outside material that the surface states.
     found_material : str
-        Material that rays find there.
+        Material that rays find around the surface.
     found_surface : str
-        Surface that has the found material inside; ``""`` for the ambient material.
+        Name of the surface with the found material inside; ``""`` for the ambient material.
     rays : int
         Number of rays affected.
     longest_mm : float
-        Longest stretch of a ray on which the counts of the materials are wrong because of it, in mm.
+        Length of the longest ray segment with wrong material counts due to the contradiction, in mm.
     """
 
     surface: str
@@ -64,7 +64,7 @@ class Contradiction:
 
     @property
     def is_density_only(self) -> bool:
-        """True if the material agrees and only the density differs."""
+        """True if the stated and the found material are the same and only their densities differ."""
         return self.found_material == self.stated_material + _OTHER_DENSITY_SUFFIX
 
     def __str__(self) -> str:
@@ -76,8 +76,8 @@ class Contradiction:
 class _OrderedCrossings(NamedTuple):
     """Crossings of rays with all surfaces of a scene, in order along each ray.
 
-    Each surface is left as often as it is entered. The arrays have shape (n,): number of the ray, distance from the
-    source in mm, sign (-1 on entry, +1 on exit) and number of the surface.
+    For each ray and surface, the number of exits equals the number of entries. The arrays have shape (n,): number of
+    the ray, distance from the source in mm, sign (-1 on entry, +1 on exit) and number of the surface.
     """
 
     ray: NDArray[np.int64]
@@ -86,7 +86,7 @@ class _OrderedCrossings(NamedTuple):
     surface: NDArray[np.int64]
 
     def select(self, which: slice | NDArray[np.int64]) -> "_OrderedCrossings":
-        """Select crossings.
+        """Select some of the crossings.
 
         Parameters
         ----------
@@ -102,7 +102,7 @@ class _OrderedCrossings(NamedTuple):
 
 
 def find_contradictions(scene: Scene, view: View) -> tuple[Contradiction, ...]:
-    """Find surfaces whose outside material differs from the one that the rays of a view find.
+    """Find surfaces whose stated outside material differs from the material that the rays of a view find.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def find_contradictions(scene: Scene, view: View) -> tuple[Contradiction, ...]:
     for first, along in enumerate(_iterate_bands(scene, view)):
         for pattern, rays, at_mm in _group_by_pattern(scene, along):
             for what, run, shared in _find_pattern_contradictions(scene, pattern):
-                # Only the part of the wrong stretch that is inside both surfaces counts.
+                # A contradiction is reported for the part of a wrong segment that is inside both surfaces.
                 ways_mm = np.minimum(*(at_mm[:, stop] - at_mm[:, start] for start, stop in (run, shared)))
                 place = first * BAND_ROWS * view.cols + rays
                 longest[what][place] = np.maximum(longest[what][place], ways_mm)
@@ -132,7 +132,7 @@ def find_contradictions(scene: Scene, view: View) -> tuple[Contradiction, ...]:
 
 
 class SelfOverlap(NamedTuple):
-    """A mesh that encloses the same place twice, or is inside out there.
+    """Mesh that encloses the same points more than once, or is partly inside out.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ class SelfOverlap(NamedTuple):
     rays : int
         Number of rays affected.
     longest_mm : float
-        Longest stretch of a ray on which it occurs, in mm.
+        Length of the longest ray segment affected, in mm.
     """
 
     surface: int
@@ -152,7 +152,7 @@ class SelfOverlap(NamedTuple):
 def find_self_overlaps(scene: Scene, view: View) -> list[SelfOverlap]:
     """Find meshes that overlap themselves or are inside out along the rays of a view.
 
-    Walls of a mesh that merely touch are no overlap.
+    Parts of a mesh that only touch do not count as an overlap.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def find_self_overlaps(scene: Scene, view: View) -> list[SelfOverlap]:
     rays, longest = np.zeros(len(scene.surfaces), int), np.zeros(len(scene.surfaces))
     for along in _iterate_bands(scene, view):
         ray, at_mm, sign, surface = along.select(np.lexsort((along.distance_mm, along.ray, along.surface)))
-        # The signs of every ray and surface add up to zero, so one cumulative sum covers all of them.
+        # The crossing signs of each ray and surface add up to zero, so one cumulative sum serves all rays and surfaces.
         around = -np.cumsum(sign)
         stretch_mm = _distance_to_next_mm(ray, at_mm) * ((around < 0) | (around > 1))
         for number in np.unique(surface[stretch_mm > OVERLAP_TOLERANCE_MM]):
@@ -180,7 +180,7 @@ def find_self_overlaps(scene: Scene, view: View) -> list[SelfOverlap]:
 
 
 def _iterate_bands(scene: Scene, view: View) -> Iterator[_OrderedCrossings]:
-    """Yield the ordered crossings of all surfaces, band by band."""
+    """Yield the ordered crossings of all surfaces for each band of rows."""
     sheets = [project_surface(surface.solid, view) for surface in scene.surfaces]
     for first in range(0, view.rows, BAND_ROWS):
         stop = min(first + BAND_ROWS, view.rows)
@@ -205,7 +205,7 @@ def _find_surface_crossings(sheet: ProjectedSurface, number: int, length_mm: Arr
     crossings = scanline.find_crossings(sheet, top, bottom)
     pixels = (np.arange(top - first, bottom - first)[:, None] * cols + np.arange(*sheet.cols)).ravel()
     ray, sign = np.repeat(pixels, np.diff(crossings.starts)), crossings.sign.astype(np.int64)
-    # A ray that leaves the surface more often than it enters started inside; it gets an entry at the source.
+    # A ray with more exits than entries starts inside the surface; an entry at the source is added.
     total = np.bincount(ray, sign, rows * cols).astype(np.int64)
     begun = np.flatnonzero(total)
     ray, sign = np.concatenate((begun, ray)), np.concatenate((-total[begun], sign))
@@ -214,14 +214,14 @@ def _find_surface_crossings(sheet: ProjectedSurface, number: int, length_mm: Arr
 
 
 def _distance_to_next_mm(ray: NDArray[np.int64], at_mm: Array) -> Array:
-    """Compute the distance (n,) from each crossing to the next of its ray, in mm; 0 for the last one."""
+    """Compute the distance (n,) from each crossing to the next crossing of its ray, in mm; 0 for the last crossing."""
     stretch_mm = np.zeros(len(ray))
     stretch_mm[:-1] = np.where(ray[1:] == ray[:-1], np.diff(at_mm), 0.0)
     return stretch_mm
 
 
 def _find_inconsistent(scene: Scene, along: _OrderedCrossings) -> NDArray[np.bool_]:
-    """Mark the crossings (n,) behind which some material has a negative count."""
+    """Mark the crossings (n,) that are followed by a negative count of any material."""
     wrong = np.zeros(len(along.ray), np.bool_)
     sides, ambient = _number_contents(scene)
     for content in np.unique(np.append(sides, ambient)):
@@ -231,7 +231,7 @@ def _find_inconsistent(scene: Scene, along: _OrderedCrossings) -> NDArray[np.boo
 
 
 def _number_contents(scene: Scene) -> tuple[NDArray[np.int64], int]:
-    """Number the contents of a scene, where a content is a material with its density.
+    """Number the contents of a scene; a content is a material together with its density.
 
     Returns the contents inside and outside each surface, (surfaces, 2), and the number of the ambient content.
     """
@@ -249,10 +249,10 @@ def _number_contents(scene: Scene) -> tuple[NDArray[np.int64], int]:
 
 
 class _CrossingPattern(NamedTuple):
-    """The common sequence of crossings of rays that cross the same surfaces in the same order.
+    """Sequence of crossings that is common to a group of rays.
 
-    All fields have one entry per crossing: the surface, the sign, whether the counts behind it are wrong, and whether
-    the next crossing is more than 0.05 mm away.
+    All fields have one entry per crossing. They are the number of the surface, the sign, whether material counts are
+    wrong after the crossing, and whether the next crossing is more than 0.05 mm away.
     """
 
     surface: tuple[int, ...]
@@ -264,7 +264,7 @@ class _CrossingPattern(NamedTuple):
 def _group_by_pattern(
     scene: Scene, along: _OrderedCrossings
 ) -> Iterator[tuple[_CrossingPattern, NDArray[np.int64], Array]]:
-    """Group the rays with wrong counts by their pattern.
+    """Group the rays with wrong material counts by their crossing pattern.
 
     Yields the pattern, the ray numbers (k,) and the distances of the crossings (k, n) from the source, in mm.
     """
@@ -295,10 +295,11 @@ _Span = tuple[int, int]
 def _find_pattern_contradictions(
     scene: Scene, pattern: _CrossingPattern
 ) -> Iterator[tuple[Contradiction, _Span, _Span]]:
-    """Find the contradictions of a pattern.
+    """Find the contradictions in a crossing pattern.
 
-    Yields each contradiction with two ranges of crossings: where counts are wrong, and where both surfaces are present.
-    Crossings within 0.05 mm of each other are sorted into an order that is consistent, since surfaces may share a wall.
+    Yields each contradiction with two ranges of crossings: where counts are wrong, and where both surfaces enclose the
+    ray. Crossings less than 0.05 mm apart are reordered to a consistent sequence if one exists, because two surfaces
+    may share a boundary.
     """
     spans, runs, of_surface = (
         _find_spans(pattern),
@@ -329,7 +330,7 @@ def _find_pattern_contradictions(
 
 
 def _make_contradiction(scene: Scene, number: int, owner: int | None) -> Contradiction:
-    """Describe a surface whose outside differs from the inside of another surface, or from the ambient material."""
+    """Describe a surface whose outside material differs from that of its innermost enclosing surface (`owner`)."""
     surface, around = scene.surfaces[number], None if owner is None else scene.surfaces[owner]
     there, name = (scene.ambient, "") if around is None else (around.inside, around.name)
     if there == surface.outside:
@@ -340,7 +341,7 @@ def _make_contradiction(scene: Scene, number: int, owner: int | None) -> Contrad
 
 
 def _find_spans(pattern: _CrossingPattern) -> dict[int, _Span]:
-    """Map each crossing to the entry and exit of its surface; only where the surface then encloses the ray once."""
+    """Map each crossing to the entry and the exit of its surface, for surfaces that do not overlap themselves."""
     around, begun, spans = dict[int, int](), dict[int, int](), dict[int, _Span]()
     for k, (number, sign) in enumerate(zip(pattern.surface, pattern.sign, strict=True)):
         before = around.get(number, 0)
@@ -353,7 +354,7 @@ def _find_spans(pattern: _CrossingPattern) -> dict[int, _Span]:
 
 
 def _find_inconsistent_runs(pattern: _CrossingPattern) -> list[_Span | None]:
-    """Return, for each crossing behind which counts are wrong, the range of crossings with wrong counts around it."""
+    """Return the range of wrong counts around each crossing that is followed by wrong counts, else None."""
     runs: list[_Span | None] = [None] * len(pattern.sign)
     stretches = list(enumerate(zip(pattern.inconsistent, pattern.next_is_far, strict=True)))
     wrong = [k for k, (amiss, long) in stretches if amiss and long]
@@ -366,7 +367,7 @@ def _find_inconsistent_runs(pattern: _CrossingPattern) -> list[_Span | None]:
 
 
 def _intersect_spans(span: _Span, others: list[_Span], crossing: int) -> _Span:
-    """Intersect the span of a surface with the nearest span of another surface around a crossing."""
+    """Intersect the span of one surface with the span of another surface that is nearest to a crossing."""
     nearest = min(others, key=lambda other: max(other[0] - crossing, crossing - other[1], 0))
     start = max(span[0], nearest[0])
     return start, max(start, min(span[1], nearest[1]))

@@ -1,4 +1,4 @@
-"""Anti-scatter grid: lead strips along the leg that pass the primary and stop most of the scatter."""
+"""Anti-scatter grid: lead strips along the leg that transmit primary radiation and absorb most of the scatter."""
 
 from dataclasses import dataclass, replace
 
@@ -9,12 +9,12 @@ from ..model.protocol import Protocol
 from ..xray.materials import Material, attenuation_per_mm, parse_compound
 from ..xray.spectrum import Beam
 
-# Half size of the irradiated exit face of a limb, across the strips and along them, in mm (assumed).
+# Half the size of the irradiated exit surface of a limb, across the strips and along them, in mm (assumed).
 _EXIT_FACE_HALF_SIZE_MM = (80.0, 150.0)
-# Depth below the exit face at which the scatter originates, in mm (assumed; Sorenson and Floch 1985 find 150 to 200 mm
-# for a trunk).
+# Depth below the exit surface at which the scatter originates, in mm (assumed; Sorenson and Floch 1985 find 150 to 200
+# mm for a trunk).
 _SCATTER_DEPTH_MM = 40.0
-# Thickness of limb that hardens the beam before the grid, in mm.
+# Thickness of the limb that hardens the beam in front of the grid, in mm.
 _LIMB_THICKNESS_MM = 100.0
 
 
@@ -25,16 +25,16 @@ class Grid:
     Parameters
     ----------
     ratio : float, default 10
-        Grid ratio: height of the strips over the distance between them, from 2 to 20.
+        Grid ratio: height of the strips divided by the distance between them, from 2 to 20.
     lines_per_cm : float, default 40
-        Strips per cm, from 20 to 120.
+        Number of strips per cm, from 20 to 120.
     lead_mm : float, default 0.05
         Thickness of a strip, from 0.005 to 0.2 mm.
 
     Raises
     ------
     InputError
-        If a number is out of range, or the strips leave no distance between them.
+        If a number is out of range, or the strips are so thick that no gap remains between them.
     """
 
     ratio: float = 10.0
@@ -51,12 +51,12 @@ class Grid:
 
 
 def make_grid(protocol: Protocol) -> Grid:
-    """Make the grid of a protocol.
+    """Make the anti-scatter grid of a protocol.
 
     Parameters
     ----------
     protocol : Protocol
-        Technique with `grid_ratio` and `grid_lines_per_cm`.
+        Protocol with `grid_ratio` and `grid_lines_per_cm`.
 
     Returns
     -------
@@ -66,22 +66,22 @@ def make_grid(protocol: Protocol) -> Grid:
     Raises
     ------
     InputError
-        If the strips leave no distance between them.
+        If the strips are so thick that no gap remains between them.
     """
     return Grid(ratio=protocol.grid_ratio, lines_per_cm=protocol.grid_lines_per_cm)
 
 
 def transmit_through_grid(grid: Grid, beam: Beam) -> Beam:
-    """Attenuate the primary beam by a moving grid.
+    """Attenuate the primary beam by a moving anti-scatter grid.
 
-    The grid lines are blurred by the motion. The primary runs parallel to the strips.
+    The motion removes grid lines from the image. Primary photons travel parallel to the strips.
 
     Parameters
     ----------
     grid : Grid
         Anti-scatter grid.
     beam : Beam
-        Beam before the grid.
+        Beam in front of the grid.
 
     Returns
     -------
@@ -93,7 +93,7 @@ def transmit_through_grid(grid: Grid, beam: Beam) -> Beam:
 
 
 def compute_scatter_transmission(grid: Grid, beam: Beam, gap_mm: float, limb: Material) -> float:
-    """Compute the fraction of the scatter that passes a grid.
+    """Compute the fraction of the scatter that an anti-scatter grid transmits.
 
     Parameters
     ----------
@@ -102,10 +102,10 @@ def compute_scatter_transmission(grid: Grid, beam: Beam, gap_mm: float, limb: Ma
     beam : Beam
         Beam without an object.
     gap_mm : float
-        Distance from the exit face of the object to the detector, in mm. Scatter from further away arrives at smaller
-        angles.
+        Distance from the exit surface of the object to the detector, in mm. The larger it is, the smaller are the
+        angles of incidence of the scatter.
     limb : Material
-        Material that hardens the beam before the grid.
+        Material of the limb, which hardens the beam in front of the grid.
 
     Returns
     -------
@@ -114,22 +114,21 @@ def compute_scatter_transmission(grid: Grid, beam: Beam, gap_mm: float, limb: Ma
 
     Notes
     -----
-    The transmission is the mean of exp(-attenuation in lead and aluminium), with the geometry of Day and Dance 1983. It
-    is averaged over positions across a strip, and over directions of uniform radiance from the exit face. It is also
-    averaged over the energies of the beam behind a limb. Scatter in the grid itself and fluorescence of the lead are
-    neglected.
+    The transmission of a photon is exp(-attenuation in lead and aluminium), with the geometry of Day and Dance 1983. It
+    is averaged over positions across a strip, over directions with uniform radiance from the exit surface, and over the
+    energies of the beam behind the limb. Scatter in the grid and fluorescence of the lead are neglected.
     """
     weights = beam.photons_per_mm2 * beam.signal_kev
     weights = weights * np.exp(-attenuation_per_mm(limb, beam.energies_kev) * _LIMB_THICKNESS_MM)
     weights = weights / weights.sum() if weights.any() else np.full(len(weights), 1 / len(weights))
     across, along = (np.linspace(-half, half, 81) for half in _EXIT_FACE_HALF_SIZE_MM)
     far2 = across[:, None] ** 2 + along**2 + (gap_mm + _SCATTER_DEPTH_MM) ** 2
-    # Uniform radiance gives an energy through the detector plane that falls with the fourth power of the cosine.
+    # For uniform radiance, the energy per area in the detector plane is proportional to the fourth power of the cosine.
     seen = far2**-2
     slopes = across / (gap_mm + _SCATTER_DEPTH_MM)
     lengths = np.sqrt(far2) / (gap_mm + _SCATTER_DEPTH_MM)
     mu = _strip_attenuation_per_mm(beam)
-    # The two sides of a strip are symmetric, so that only one half is computed.
+    # The transmission is symmetric in the slope, so only slopes of one sign are computed.
     right = len(slopes) // 2
     passed = [
         _compute_transmission(grid, mu, slope, line)
@@ -140,16 +139,17 @@ def compute_scatter_transmission(grid: Grid, beam: Beam, gap_mm: float, limb: Ma
 
 
 def _strip_attenuation_per_mm(beam: Beam) -> Array:
-    """Compute the attenuation of lead and aluminium, (2, nodes) in 1/mm."""
+    """Compute the linear attenuation coefficients of lead and aluminium, (2, nodes), in 1/mm."""
     return np.array([attenuation_per_mm(parse_compound(name), beam.energies_kev) for name in ("Pb@11.35", "Al@2.70")])
 
 
 def _compute_transmission(grid: Grid, mu: Array, slope: float, lengths: Array) -> Array:
-    """Compute the transmission (directions, energies) of photons with a slope across the strips.
+    """Compute the transmission (directions, energies) of photons with a given slope across the strips.
 
-    `slope` is the movement across the strips in mm per mm of depth.
+    `slope` is the displacement across the strips in mm per mm of depth.
 
-    `lengths` (directions,) are path lengths per mm of depth, as photons also move along the strips.
+    `lengths` (directions,) are path lengths in mm per mm of depth. They also depend on the displacement along the
+    strips.
     """
     period = 10.0 / grid.lines_per_cm
     height = grid.ratio * (period - grid.lead_mm)
@@ -166,6 +166,6 @@ def _compute_transmission(grid: Grid, mu: Array, slope: float, lengths: Array) -
 
 
 def _cumulative_lead_mm(place: Array, period: float, lead_mm: float) -> Array:
-    """Compute the thickness of lead between 0 and a position across the strips, in mm."""
+    """Compute the total thickness of lead strips between 0 and a position across the strips, in mm."""
     whole = np.floor(place / period)
     return np.asarray(whole * lead_mm + np.minimum(place - whole * period, lead_mm))

@@ -1,4 +1,4 @@
-"""Monte Carlo scatter, by transport of single photons; it is slow, and the fast kernel is fitted to it."""
+"""Monte Carlo simulation of scatter: slow, and the reference to which the fast scatter kernel is fitted."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -24,36 +24,37 @@ from .photon_interactions import CUT_OFF_KEV, make_interaction_tables
 from .photon_transport import TransportSetup, follow_photons
 from .voxel_grid import Voxels, voxelise_scene
 
-# Side of a cell in which photons are counted, in mm.
+# Side length of a detector cell in which absorbed energy is summed, in mm.
 _CELL_MM = 8.0
-# Standard deviation of the Gaussian that smooths the map, in cells.
+# Standard deviation of the Gaussian that smooths the scatter map, in cells.
 _SMOOTH_CELLS = 1.0
 # Default voxel size, in mm.
 _VOXEL_MM = 2.0
-# Number of voxels above which the default voxel size grows.
+# Number of voxels above which the default voxel size is increased.
 _MAX_VOXELS = 10e6
-# Number of batches of photons, for any number of workers; the spread between batches gives the statistical error.
+# Number of batches of photons. It does not depend on the number of workers. The spread between batches gives the
+# statistical error.
 _BATCHES = 32
-# Number of the random stream below the seed; shape, pose and noise have other streams.
+# Spawn key of the random stream of the photons, combined with the seed; shape, pose and noise have other keys.
 _SEED_STREAM = 4
-# Thickness of muscle in mm for the sampling of energies. One half of the energies is sampled by the signal of the open
-# beam, the other half by the signal behind this muscle.
+# Thickness of muscle for the sampling of photon energies, in mm. Half of the energies are sampled from the signal
+# spectrum of the open beam, and half from the signal spectrum behind muscle of this thickness.
 _MUSCLE_THICKNESS_MM = 60.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class PhotonTally:
-    """Energy that the photons deposit.
+    """Energy that the simulated photons deposit.
 
     Attributes
     ----------
     primary_kev, scatter_kev : (batches, rows, cols) float64 array
-        Energy absorbed by the panel per cell, in keV for the mAs of the protocol, from unscattered and from scattered
-        photons. The mean of the batches is the estimate, and their spread is its error.
+        Energy of unscattered and of scattered photons that the detector absorbs per cell, in keV for the mAs of the
+        protocol. The mean over batches is the estimate, and the spread between batches gives its error.
     pixels : (rows, cols) float64 array
         Number of pixels per cell; cells at the lower and right edge may have fewer.
     pixels_per_cell : int
-        Pixels along the side of a cell.
+        Number of pixels along the side of a cell.
     energy_kev : (4,) float64 array
         Energy emitted, absorbed in the scene, incident on the detector, and missing the detector, in keV.
     """
@@ -68,7 +69,7 @@ class PhotonTally:
 def compute_monte_carlo_scatter_kev(
     scene: Scene, technique: Technique, *, photons: int = 20_000_000, seed: int = 0, workers: int = 2
 ) -> tuple[NDArray[np.float32], float]:
-    """Compute the scatter signal by Monte Carlo, with its statistical error.
+    """Compute the scatter signal and its statistical error by Monte Carlo simulation.
 
     The irradiated area is the collimated field on the detector (see `xray.collimator`), with sharp edges.
 
@@ -79,10 +80,10 @@ def compute_monte_carlo_scatter_kev(
     technique : Technique
         Resolved protocol.
     photons : int, default 20_000_000
-        Number of photons aimed at the part of the scene in the field. The error falls with the square root of this
+        Number of photons aimed at the irradiated part of the scene. The error decreases with the square root of this
         number.
     seed : int, default 0
-        Seed of the random numbers. The same seed gives the same bytes for any number of workers.
+        Seed of the random numbers. The same seed gives identical results for any number of workers.
     workers : int, default 2
         Number of threads, from 1 to 256.
 
@@ -91,7 +92,7 @@ def compute_monte_carlo_scatter_kev(
     scatter_kev : (rows, cols) float32 array
         Mean energy absorbed from scattered photons, in keV per pixel, smoothed over 8 mm.
     error : float
-        Statistical error: root mean square over the field, relative to the mean.
+        Statistical error of the scatter: root mean square over the detector, relative to the mean scatter.
 
     Raises
     ------
@@ -99,7 +100,7 @@ def compute_monte_carlo_scatter_kev(
         If the scene cannot be traced, a material is unknown, or a number is out of range.
     """
     counts = simulate_photons(scene, technique, photons=photons, seed=seed, workers=workers)
-    # Each batch is smoothed on its own, so that their spread is the error of the smoothed map.
+    # Each batch is smoothed separately, so that the spread between batches gives the error of the smoothed map.
     maps = np.array([_smooth_cells(batch) for batch in counts.scatter_kev]) / _smooth_cells(counts.pixels)
     mean, error = maps.mean(axis=0), maps.std(axis=0, ddof=1) / np.sqrt(len(maps))
     relative = float(np.sqrt(np.mean(error**2)) / mean.mean()) if mean.any() else 0.0
@@ -118,8 +119,8 @@ def simulate_photons(
 ) -> PhotonTally:
     """Transport photons from the source of a technique through a scene to its detector.
 
-    Source, scene and detector are in vacuum. The source is a point without heel effect. Every material has its own
-    constant density.
+    Source, scene and detector are in vacuum. The source is a point without heel effect. The density of every material
+    is constant.
 
     Parameters
     ----------
@@ -134,9 +135,9 @@ def simulate_photons(
     workers : int, default 2
         Number of threads, from 1 to 256.
     cell_mm : float, default 8
-        Desired side of a cell, in mm; it is rounded to whole pixels.
+        Side length of a cell in mm, which is rounded to whole pixels.
     voxel_mm : float, optional
-        Voxel size, in mm; by default 2 mm, or more for a scene of over 10 million voxels.
+        Voxel size, in mm. By default 2 mm, or larger for scenes that would need more than 10 million voxels.
 
     Returns
     -------
@@ -167,7 +168,7 @@ def simulate_photons(
 
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(batch, range(_BATCHES)))
-    # Each photon represents an equal part of the area that photons are aimed at.
+    # Each photon represents an equal fraction of the target area.
     area = float(np.diff(where.window[:2])[0] * np.diff(where.window[2:])[0]) / each
     inside = [np.diff(np.append(np.arange(0, n, step), n)) for n in (view.rows, view.cols)]
     return PhotonTally(
@@ -183,7 +184,7 @@ def _voxelise_before_detector(scene: Scene, view: View, voxel_mm: float | None) 
     """Voxelise the part of a scene between source and detector."""
     bounds = scene.bounds_mm.copy()
     bounds[:, 1] = np.clip(bounds[:, 1], view.source_mm[1], view.centre_mm[1])
-    # A scene that is not between them is reduced to a thin sheet.
+    # A scene outside the space between source and detector is reduced to a thin sheet.
     bounds[0, 1] = min(bounds[0, 1], bounds[1, 1] - 0.001)
     size = voxel_mm or max(_VOXEL_MM, float(np.prod(np.ptp(bounds, axis=0)) / _MAX_VOXELS) ** (1 / 3))
     return voxelise_scene(scene, bounds, voxel_mm=size)
@@ -196,7 +197,8 @@ def _make_transport_setup(voxels: Voxels, technique: Technique, cell_mm: float) 
     energies, photons, signal = (v[kept] for v in (beam.energies_kev, beam.photons_per_mm2, beam.signal_kev))
     left = (photons if photons.any() else np.ones_like(photons)) * signal
     passed = left * np.exp(-attenuation_per_mm(technique.material("muscle"), energies) * _MUSCLE_THICKNESS_MM)
-    # A mixture of both distributions bounds the weights in thick and in thin parts.
+    # Energies are sampled from the mean of the two distributions, which limits the photon weights behind thick and thin
+    # tissue.
     chance = left / left.sum() / 2 + passed / passed.sum() / 2
     chosen = np.cumsum(chance)
     chosen[-1] = 1.0
@@ -216,14 +218,14 @@ def _make_transport_setup(voxels: Voxels, technique: Technique, cell_mm: float) 
 
 
 def _detector_bounds_mm(view: View) -> Array:
-    """Compute the bounds (4,) of the detector in mm, outer pixels included: x from, x to, z from, z to."""
+    """Compute the bounds (4,) of the detector in mm, up to the outer pixel edges: x min, x max, z min, z max."""
     half_x, half_z = view.cols * view.pixel_mm / 2, view.rows * view.pixel_mm / 2
     x, _, z = view.centre_mm
     return np.array([x - half_x, x + half_x, z - half_z, z + half_z])
 
 
 def _irradiated_bounds_mm(technique: Technique, field: Array) -> Array:
-    """Compute the bounds (4,) of the irradiated part of the detector in mm; collimator edges are sharp here."""
+    """Compute the bounds (4,) of the irradiated part of the detector in mm, for sharp collimator edges."""
     x, _, z = technique.view.centre_mm
     half_x, half_z = field_half_size_mm(technique)
     lit = np.array([x - half_x, x + half_x, z - half_z, z + half_z])
@@ -231,7 +233,7 @@ def _irradiated_bounds_mm(technique: Technique, field: Array) -> Array:
 
 
 def _aim_bounds_mm(voxels: Voxels, view: View, field: Array) -> Array:
-    """Compute the bounds (4,) of the part of the field in the shadow of the voxels, in mm."""
+    """Compute the bounds (4,) of the part of the field behind the voxel grid, in mm."""
     source, corners = np.array(view.source_mm), np.array([voxels.origin_mm, voxels.upper_mm])
     depth = (corners[:, 1] - source[1]) / (view.centre_mm[1] - source[1])
     if depth.min() < 1e-6:
@@ -245,5 +247,5 @@ def _aim_bounds_mm(voxels: Voxels, view: View, field: Array) -> Array:
 
 
 def _smooth_cells(cells: Array) -> Array:
-    """Smooth a map of cells (rows, cols); nothing enters from outside the field."""
+    """Smooth a map of cells (rows, cols), with zeros outside the detector."""
     return np.asarray(ndimage.gaussian_filter(cells, _SMOOTH_CELLS, mode="constant"))

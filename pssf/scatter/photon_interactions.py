@@ -1,4 +1,4 @@
-"""Interaction tables for the Monte Carlo (cross sections from xraylib: independent atoms, mixed by mass)."""
+"""Interaction tables for the Monte Carlo simulation (xraylib cross sections of free atoms, mixed by mass fraction)."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -10,18 +10,18 @@ from ..core.checks import Array
 from ..data.imaging.detector_table import Detector
 from ..xray.materials import Material, absorbed_fraction
 
-# Energy below which a photon is absorbed where it is, in keV.
+# Energy below which a photon is absorbed locally, in keV.
 CUT_OFF_KEV = 5.0
-# Step of the tables in energy, in keV; values between the nodes are interpolated linearly.
+# Energy step of the tables, in keV; values in between are interpolated linearly.
 STEP_KEV = 0.5
-# Step of the tables in momentum transfer x = sin(angle / 2) / wavelength, in 1/angstrom.
+# Step of the tables in momentum transfer, x = sin(angle / 2) / wavelength, in 1/angstrom.
 STEP_X = 0.02
 # Planck constant times speed of light, in keV angstrom; wavelength = HC_KEV_A / energy.
 HC_KEV_A = 12.398419843
 
 
 class InteractionTables(NamedTuple):
-    """Interaction tables by material.
+    """Interaction tables of several materials.
 
     Energies are in steps of 0.5 keV from the cut-off at 5 keV. The momentum transfer x is in steps of 0.02 per angstrom
     from 0.
@@ -31,7 +31,7 @@ class InteractionTables(NamedTuple):
     photoelectric, compton, rayleigh : (materials, energies) float64 array
         Linear attenuation by each interaction, in 1/mm.
     incoherent_function : (materials, x) float64 array
-        Incoherent scattering function over the number of electrons, from 0 to 1.
+        Incoherent scattering function divided by the number of electrons, from 0 to 1.
     x_squared : (nodes,) float64 array
         Squares of x at which `coherent_integral` is tabulated, in 1/angstrom2.
     coherent_integral : (materials, nodes) float64 array
@@ -56,11 +56,11 @@ def make_interaction_tables(materials: tuple[Material, ...], max_kev: float, det
     Parameters
     ----------
     materials : tuple of Material
-        Materials in the order of the voxel numbers.
+        Materials in the order of their numbers in the voxel grid.
     max_kev : float
         Largest photon energy, in keV.
     detector : Detector
-        Record of the detector.
+        Detector properties from the table.
 
     Returns
     -------
@@ -69,9 +69,9 @@ def make_interaction_tables(materials: tuple[Material, ...], max_kev: float, det
 
     Notes
     -----
-    Compton scattering is on free electrons at rest. Its angles are weighted with the incoherent scattering function,
-    without Doppler broadening. Coherent scattering is by free atoms, without interference between molecules. The energy
-    of a photoelectric absorption is deposited locally, without fluorescence.
+    Compton scattering is from free electrons at rest, without Doppler broadening. Its angular distribution is weighted
+    with the incoherent scattering function. Coherent scattering is from free atoms, without interference between
+    molecules. Photoelectric absorption deposits the whole photon energy locally, without fluorescence.
     """
     steps = int(np.ceil((max_kev - CUT_OFF_KEV) / STEP_KEV)) + 1
     energies = np.linspace(CUT_OFF_KEV, CUT_OFF_KEV + steps * STEP_KEV, steps + 1)
@@ -91,7 +91,7 @@ def make_interaction_tables(materials: tuple[Material, ...], max_kev: float, det
         incoherent_function=np.array([_incoherent_function(parts, x) for _, parts in materials]),
         x_squared=nodes**2,
         coherent_integral=np.array([_coherent_integral(parts, nodes) for _, parts in materials]),
-        # An opaque layer gets the finite optical depth 28, which makes no difference.
+        # The optical depth of an opaque layer is limited to 28, which changes the absorption by only 1e-12.
         scintillator_depth=-np.log1p(-np.minimum(absorbed, 1 - 1e-12)),
     )
 
@@ -103,9 +103,9 @@ def _mixture_cross_sections(kind: str, parts: tuple[tuple[int, float], ...], ene
 
 
 def _incoherent_function(parts: tuple[tuple[int, float], ...], x: Array) -> Array:
-    """Compute the incoherent scattering function of a mixture at x (nodes,), per electron, from 0 to 1."""
+    """Compute the incoherent scattering function per electron of a mixture at x (nodes,), from 0 to 1."""
     electrons = sum(w * z / xraylib.AtomicWeight(z) for z, w in parts)
-    # The function is 0 at x = 0, where xraylib has no value.
+    # xraylib has no value at x = 0, where the function is 0.
     scattering = sum(
         w / xraylib.AtomicWeight(z) * np.array([0.0, *(xraylib.SF_Compt(z, float(v)) for v in x[1:])]) for z, w in parts
     )

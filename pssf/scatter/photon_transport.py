@@ -1,7 +1,6 @@
-"""Compiled transport of single photons through voxels.
+"""Compiled transport of individual photons through voxels.
 
-All compiled functions that call each other are in this module. A photon is an array (7,): position x, y, z in mm,
-direction u, v, w, and energy in keV.
+A photon is an array (7,): position x, y, z in mm, direction u, v, w, and energy in keV.
 """
 
 import math
@@ -22,13 +21,13 @@ from .photon_interactions import (
 
 # Rest energy of the electron, in keV.
 _ELECTRON_KEV = 510.99895
-# Index of the energy emitted, in the energy balance of a batch.
+# Index of the emitted energy in the energy balance of a batch.
 EMITTED = 0
-# Index of the energy absorbed in the scene.
+# Index of the energy absorbed in the scene, in the energy balance.
 ABSORBED = 1
-# Index of the energy incident on the detector.
+# Index of the energy incident on the detector, in the energy balance.
 ON_FIELD = 2
-# Index of the energy that misses the detector.
+# Index of the energy that misses the detector, in the energy balance.
 PAST = 3
 
 
@@ -42,15 +41,15 @@ class TransportSetup(NamedTuple):
     detector_y_mm : float
         Position of the detector plane along y, in mm.
     window : (4,) float64 array
-        Part of the detector that photons are aimed at: x from, x to, z from, z to, in mm.
+        Target area on the detector plane, towards which photons are emitted: x min, x max, z min, z max, in mm.
     field : (5,) float64 array
-        Bounds of the detector (x from, x to, z from, z to) and the side of a counting cell, in mm.
+        Bounds of the detector (x min, x max, z min, z max) and side length of a tally cell, in mm.
     energies : (bins,) float64 array
         Photon energies, in keV.
     energy_cdf : (bins,) float64 array
-        Cumulative probability of the sampled energies; the last is 1.
+        Cumulative probability of the sampled energies; the last value is 1.
     weights : (bins,) float64 array
-        Photons per mm2 at 1 m that one sampled photon of each energy represents.
+        Statistical weight of one sampled photon of each energy, in photons per mm2 at 1 m.
     material : (x, y, z) uint8 array
         Number of the material of each voxel.
     origin : (3,) float64 array
@@ -80,7 +79,7 @@ def follow_photons(
     counts: Array,
     energy: Array,
 ) -> None:
-    """Transport photons until each is absorbed or has left the scene, and add up the energy that they deposit.
+    """Transport photons until they are absorbed or leave the scene, and add up the energy that they deposit.
 
     Parameters
     ----------
@@ -93,9 +92,10 @@ def follow_photons(
     tables : InteractionTables
         Interaction tables of the materials.
     counts : (2, rows, cols) float64 array, keV
-        Energy absorbed by the scintillator times weight, of unscattered and of scattered photons; added to in place.
+        Energy absorbed by the scintillator times weight, of unscattered and of scattered photons; updated in place.
     energy : (4,) float64 array, keV
-        Energy times weight: emitted, absorbed in the scene, incident on the detector, missing it; added to in place.
+        Energy times weight, updated in place: emitted, absorbed in the scene, incident on the detector, missing the
+        detector.
     """
     photon, mu = np.empty(7), np.empty(len(tables.photoelectric))
     for _ in range(photons):
@@ -135,7 +135,7 @@ def _sample_uniform(s: NDArray[np.uint64]) -> float:
 
 @kernel_helper(inline="always")
 def _find_first_above(values: Array, threshold: float) -> int:
-    """Find the first of ascending values that is above a threshold, or else the last."""
+    """Return the index of the first ascending value above a threshold, or of the last value if none is."""
     low, high = 0, len(values) - 1
     while low < high:
         middle = (low + high) // 2
@@ -148,7 +148,7 @@ def _find_first_above(values: Array, threshold: float) -> int:
 
 @kernel_helper()
 def _emit_photon(photon: Array, stream: NDArray[np.uint64], setup: TransportSetup) -> float:
-    """Start a photon at the source towards a point sampled uniformly in the window; returns its weight."""
+    """Start a photon at the source towards a point sampled uniformly in the window; return the photon's weight."""
     x = setup.window[0] + _sample_uniform(stream) * (setup.window[1] - setup.window[0]) - setup.source[0]
     z = setup.window[2] + _sample_uniform(stream) * (setup.window[3] - setup.window[2]) - setup.source[2]
     y = setup.detector_y_mm - setup.source[1]
@@ -157,13 +157,13 @@ def _emit_photon(photon: Array, stream: NDArray[np.uint64], setup: TransportSetu
     photon[3], photon[4], photon[5] = x / far, y / far, z / far
     chosen = _find_first_above(setup.energy_cdf, _sample_uniform(stream))
     photon[6] = setup.energies[chosen]
-    # The weight follows the inverse-square law from 1 m and the cosine of the incidence angle.
+    # The weight follows the inverse-square law, relative to 1 m, and the cosine of the angle of incidence.
     return setup.weights[chosen] * 1e6 / (far * far) * y / far
 
 
 @kernel_helper()
 def _move_to_voxels(photon: Array, setup: TransportSetup) -> None:
-    """Move a photon from the source to its entry into the voxel grid, if it enters."""
+    """Move a photon from the source to its entry point into the voxel grid, if it meets the grid."""
     near, far = 0.0, np.inf
     for axis in range(3):
         low = setup.origin[axis] - photon[axis]
@@ -175,21 +175,21 @@ def _move_to_voxels(photon: Array, setup: TransportSetup) -> None:
         one, other = low / photon[3 + axis], high / photon[3 + axis]
         near, far = max(near, min(one, other)), min(far, max(one, other))
     if near < far:
-        # The photon is placed 0.001 mm inside the grid, so that rounding cannot place it outside.
+        # The photon is placed 0.001 mm inside the grid, because a rounding error could place it outside.
         for axis in range(3):
             photon[axis] += (near + 1e-3) * photon[3 + axis]
 
 
 @kernel_helper(inline="always")
 def _interpolate(table: Array, place: float) -> float:
-    """Interpolate a table linearly at a position in nodes."""
+    """Interpolate a table linearly at a fractional index."""
     node = min(int(place), len(table) - 2)
     return table[node] + (place - node) * (table[node + 1] - table[node])
 
 
 @kernel_helper()
 def _fill_attenuation(kev: float, tables: InteractionTables, mu: Array) -> float:
-    """Fill `mu` (materials,) with the attenuation in 1/mm at an energy, and return the largest."""
+    """Fill `mu` (materials,) with the attenuation coefficients in 1/mm at an energy; return the largest coefficient."""
     most, place = 0.0, (kev - CUT_OFF_KEV) / STEP_KEV
     for m in range(len(mu)):
         mu[m] = (
@@ -207,7 +207,7 @@ def _move_to_interaction(
 ) -> int:
     """Move a photon to its next interaction (delta tracking, Woodcock 1965).
 
-    Returns the material, or -1 outside the grid.
+    Returns the material number at the interaction, or -1 if the photon has left the grid.
     """
     shape, origin, size = setup.material.shape, setup.origin, setup.size
     while True:
@@ -232,9 +232,9 @@ def _move_to_interaction(
 
 @kernel_helper()
 def _interact(photon: Array, stream: NDArray[np.uint64], material: int, mu: float, tables: InteractionTables) -> bool:
-    """Sample one interaction; returns True if it absorbs the photon.
+    """Sample an interaction and return True if it absorbs the photon.
 
-    Otherwise the photon has a new direction and, after Compton scattering, a new energy.
+    Scattering changes the direction of the photon in place, and Compton scattering also its energy.
     """
     place = (photon[6] - CUT_OFF_KEV) / STEP_KEV
     at = _sample_uniform(stream) * mu
@@ -255,7 +255,7 @@ def _interact(photon: Array, stream: NDArray[np.uint64], material: int, mu: floa
 
 @kernel()
 def _sample_compton(kev: float, stream: NDArray[np.uint64], incoherent_function: Array) -> tuple[float, float]:
-    """Sample the cosine and the energy fraction after Compton scattering.
+    """Sample the cosine of the scattering angle and the remaining energy fraction of Compton scattering.
 
     The Klein-Nishina formula is sampled by composition and rejection (Butcher and Messel 1960).
     """
@@ -278,7 +278,7 @@ def _sample_compton(kev: float, stream: NDArray[np.uint64], incoherent_function:
 
 @kernel()
 def _sample_rayleigh(kev: float, stream: NDArray[np.uint64], x2: Array, coherent: Array) -> float:
-    """Sample the cosine after coherent scattering.
+    """Sample the cosine of the scattering angle of coherent scattering.
 
     The squared momentum transfer is sampled from the form factors, and the Thomson angular factor by rejection.
     """
@@ -310,7 +310,7 @@ def _rotate_direction(photon: Array, cosine: float, stream: NDArray[np.uint64]) 
         photon[5] = w * cosine - across * a
     else:
         photon[3], photon[4], photon[5] = a, b, math.copysign(cosine, w * cosine)
-    # The direction is normalised, so that rounding errors do not add up over many interactions.
+    # The direction is normalised, because rounding errors would add up over many interactions.
     norm = 1.0 / math.sqrt(photon[3] ** 2 + photon[4] ** 2 + photon[5] ** 2)
     photon[3:6] *= norm
 
@@ -325,10 +325,10 @@ def _tally_photon(
     counts: Array,
     energy: Array,
 ) -> None:
-    """Add a photon that has left the grid to the cell where it meets the detector, if it does."""
+    """Add the energy of a photon that has left the grid to the detector cell that it meets, if any."""
     x0, x1, z0, z1, cell = setup.field
     if photon[4] > 0.0:
-        # A photon whose last step ends behind the detector plane is moved back to it (`way` is negative).
+        # A photon behind the detector plane after its last step is moved back to the plane (`way` is negative).
         way = (setup.detector_y_mm - photon[1]) / photon[4]
         x, z = photon[0] + way * photon[3], photon[2] + way * photon[5]
         if x0 <= x < x1 and z0 < z <= z1:

@@ -1,4 +1,4 @@
-"""Scatter by kernels fitted to the Monte Carlo, computed on a coarse grid since scatter is smooth."""
+"""Scatter kernel fitted to Monte Carlo results, applied on a coarse grid of cells because scatter is smooth."""
 
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -21,20 +21,20 @@ from ..xray.collimator import compute_transmission_factors, is_collimated
 from ..xray.resolved_technique import Technique
 from ..xray.spectrum import compute_beam, heel_factor
 
-# Side of a cell of the kernel, in mm.
+# Side length of a cell of the coarse grid, in mm.
 _CELL_MM = 9.6
-# Number of rays along each side of the field for the air gaps.
+# Number of rays along each side of the field for the measurement of air gaps.
 _LOOKS = 32
-# Rays in the middle quarter of the field, in width and in height.
+# Index range of the rays in the middle quarter of the field, for rows and for columns.
 _MIDDLE = slice(12, 20)
-# Largest step between the air gaps for which the kernel is computed, in mm; cells interpolate between them.
+# Largest step between the air gaps for which the kernel is computed, in mm; results are interpolated in between.
 _GAP_STEP_MM = 20.0
-# Standard deviation of the Gaussian over which the tilt of an object is measured, in mm.
+# Standard deviation of the Gaussian that smooths the air gaps before the tilt of the object is computed, in mm.
 _TILT_SIGMA_MM = 20.0
-# Side of the plane that the constants were fitted on, in mm. On a smaller plane, scatter that leaves the object beside
-# the beam and reaches the detector would be lost. Gaussians wider than the plane would wrap around.
+# Side length of the detector plane on which the constants were fitted, in mm. A smaller plane would lose scatter that
+# leaves the object outside the beam and reaches the detector. Gaussians wider than the plane would wrap around.
 _FITTED_PLANE_MM = 307.2
-# Smallest transmission; it keeps the logarithm behind metal finite.
+# Lower limit of the transmission, which keeps its logarithm finite behind metal.
 _MIN_TRANSMISSION = 1e-5
 
 
@@ -45,7 +45,7 @@ def compute_kernel_scatter_kev(
     technique: Technique,
     workers: int = 2,
 ) -> NDArray[np.float32]:
-    """Compute the scatter signal with the fitted kernel.
+    """Compute the scatter signal with the fitted scatter kernel.
 
     Parameters
     ----------
@@ -54,7 +54,8 @@ def compute_kernel_scatter_kev(
     path_mm : mapping of str to (rows, cols) array, mm
         Path length per material.
     air_gaps_mm : (32, 32) array, mm, or float
-        Distance from the exit of the rays to the detector plane, from `compute_air_gaps_mm`; or one distance for all.
+        Distance from the exit point of each ray to the detector plane, from `compute_air_gaps_mm`, or a common
+        distance.
     technique : Technique
         Resolved protocol.
     workers : int, default 2
@@ -68,14 +69,16 @@ def compute_kernel_scatter_kev(
     Notes
     -----
     The scatter is a sum of terms, each with three steps. First, photons scatter in proportion to powers of the mass per
-    area and of the primary transmission. Second, they spread within the object and are attenuated where they leave it.
-    Third, they spread across the air gap, which varies with the position. Where an object is tilted against the beam,
-    its thickness counts and not the path along the rays.
+    area and of the primary transmission. Second, they spread within the object and are attenuated on the way out.
+    Third, they spread across the air gap, which varies with position. For an object tilted against the beam, the mass
+    per area along the ray is multiplied by the cosine of the tilt.
 
-    The irradiated area is the collimated field on the detector, as in the Monte Carlo (see `xray.collimator`).
+    The irradiated area is the collimated field on the detector, as in the Monte Carlo simulation (see
+    `xray.collimator`).
 
-    The form, the constants and their range are in ``data/scatter.toml``, small fields included: limbs of 100 to 140 mm,
-    and gaps of 20 to 210 mm. For other objects, use `monte_carlo.compute_monte_carlo_scatter_kev`.
+    The equation, its constants and their valid range are in ``data/scatter.toml``, which also gives the error in small
+    fields. The constants are valid for limbs of 100 to 140 mm and gaps of 20 to 210 mm. For other objects, use
+    `monte_carlo.compute_monte_carlo_scatter_kev`.
     """
     opened, mass, passed, step = coarsen_kernel_input(primary_kev, path_mm, technique, workers)
     most = float(opened.max())
@@ -90,10 +93,10 @@ def compute_kernel_scatter_kev(
 
 
 def _compute_padded_scatter_fraction(kernel_input: "KernelInput", air_gaps_mm: Array, technique: Technique) -> Array:
-    """Compute the scatter fraction; a small detector is padded to the fitted plane, without irradiation around it.
+    """Compute the scatter fraction; a small detector is padded to the fitted plane with unirradiated cells.
 
-    `air_gaps_mm` (rows, cols) is the distance from the exit of the rays to the detector plane. It continues beyond the
-    edges.
+    `air_gaps_mm` (rows, cols) is the distance from the exit point of the rays to the detector plane. Padding repeats
+    its edge values.
     """
     shape = kernel_input.open_beam.shape
     view, full_mm = technique.view, technique.kernel.full_field_mm
@@ -103,7 +106,7 @@ def _compute_padded_scatter_fraction(kernel_input: "KernelInput", air_gaps_mm: A
     if holds or not any(missing):
         return compute_scatter_fraction(kernel_input, air_gaps_mm, technique.protocol, technique.kernel)
     around = [(more // 2, more - more // 2) for more in missing]
-    # The last cells may extend beyond the detector, where nothing is irradiated.
+    # The last row and column of cells may extend beyond the detector, where nothing is irradiated.
     sides = zip(shape, (view.rows, view.cols), strict=True)
     pixels = kernel_input.cell_mm / view.pixel_mm
     covered = np.outer(*(np.minimum(count / pixels - np.arange(n), 1.0) for n, count in sides))
@@ -121,7 +124,7 @@ def _compute_padded_scatter_fraction(kernel_input: "KernelInput", air_gaps_mm: A
 def coarsen_kernel_input(
     primary_kev: NDArray[np.float32], path_mm: Mapping[str, RowSliceable], technique: Technique, workers: int = 2
 ) -> tuple[Array, Array, Array, int]:
-    """Reduce the input of the kernel to cells.
+    """Reduce the input maps of the scatter kernel to cells.
 
     Parameters
     ----------
@@ -141,9 +144,9 @@ def coarsen_kernel_input(
     mass : (cells, cells) float64 array
         Mass per area along the rays, in g/cm2.
     transmission : (cells, cells) float64 array
-        Primary over the open beam, from 1e-5 to 1.
+        Primary signal divided by the open-beam signal, from 1e-5 to 1.
     step : int
-        Pixels along the side of a cell.
+        Number of pixels along the side of a cell.
     """
     step = max(1, round(_CELL_MM / technique.protocol.pixel_mm))
     primary = downsample_by_blocks(primary_kev, step)
@@ -158,7 +161,7 @@ def coarsen_kernel_input(
 
 
 def compute_air_gaps_mm(scene: Scene, view: View) -> Array:
-    """Compute the distance from the exit of rays to the detector plane, over a square around the field.
+    """Compute the distance from the exit point of rays to the detector plane, for a square around the field.
 
     Parameters
     ----------
@@ -170,8 +173,8 @@ def compute_air_gaps_mm(scene: Scene, view: View) -> Array:
     Returns
     -------
     (32, 32) float64 array
-        Air gaps, in mm. A ray that misses the scene gets the gap of the nearest ray that meets it. If all rays miss it,
-        the gap is that behind the box around the scene.
+        Air gaps, in mm. A ray that misses the scene gets the gap of the nearest ray that meets the scene. If all rays
+        miss the scene, the gap is the distance from its bounding box to the detector plane.
 
     Raises
     ------
@@ -199,12 +202,12 @@ def compute_air_gaps_mm(scene: Scene, view: View) -> Array:
 
 
 def central_air_gap_mm(air_gaps_mm: Array | float) -> float:
-    """Compute the mean air gap over the middle quarter of the field in width and in height.
+    """Compute the mean air gap in the central part of the field, a quarter of its width and height.
 
     Parameters
     ----------
     air_gaps_mm : (32, 32) array, mm, or float
-        Gaps from `compute_air_gaps_mm`, or one for all.
+        Gaps from `compute_air_gaps_mm`, or a common gap.
 
     Returns
     -------
@@ -215,21 +218,21 @@ def central_air_gap_mm(air_gaps_mm: Array | float) -> float:
 
 
 def _gap_pitch_mm(view: View) -> float:
-    """Compute the distance between two rays of the air gaps on the detector, in mm."""
+    """Compute the spacing on the detector of the rays for air gaps, in mm."""
     return max(view.rows, view.cols) * view.pixel_mm / _LOOKS
 
 
 def interpolate_air_gaps_mm(air_gaps_mm: Array | float, shape: tuple[int, ...], step: int, view: View) -> Array:
-    """Interpolate air gaps at the cells of the kernel.
+    """Interpolate air gaps at the centres of the cells.
 
     Parameters
     ----------
     air_gaps_mm : (32, 32) array, mm, or float
-        Gaps from `compute_air_gaps_mm`, or one for all.
+        Gaps from `compute_air_gaps_mm`, or a common gap.
     shape : tuple of int
-        Rows and columns of cells.
+        Number of rows and columns of cells.
     step : int
-        Pixels along the side of a cell.
+        Number of pixels along the side of a cell.
     view : View
         Source and detector.
 
@@ -248,7 +251,7 @@ def interpolate_air_gaps_mm(air_gaps_mm: Array | float, shape: tuple[int, ...], 
 
 
 def _open_beam_kev(shape: tuple[int, ...], step: int, technique: Technique) -> Array:
-    """Compute the primary without an object at the centres of cells (rows, cols), in keV per pixel."""
+    """Compute the open-beam signal at the centres of cells (rows, cols), in keV per pixel."""
     protocol, view, beam = technique.protocol, technique.view, compute_beam(technique)
     source, corner = view.source_mm, view.first_pixel_mm
     places = [(np.arange(n) + 0.5) * step - 0.5 for n in shape]
@@ -267,18 +270,18 @@ def _open_beam_kev(shape: tuple[int, ...], step: int, technique: Technique) -> A
 
 @dataclass(frozen=True, kw_only=True)
 class KernelInput:
-    """Input of the kernel, in cells.
+    """Input maps of the scatter kernel, per cell.
 
     Attributes
     ----------
     open_beam : (rows, cols) float64 array
-        Open beam over its maximum, from 0 to 1.
+        Open-beam signal divided by its maximum, from 0 to 1.
     mass_g_per_cm2 : (rows, cols) float64 array
         Mass per area along the rays, in g/cm2.
     transmission : (rows, cols) float64 array
-        Primary over the open beam.
+        Primary signal divided by the open-beam signal.
     cell_mm : float
-        Side of a cell, in mm.
+        Side length of a cell, in mm.
     """
 
     open_beam: Array
@@ -290,30 +293,31 @@ class KernelInput:
 def compute_scatter_fraction(
     kernel_input: KernelInput, air_gaps_mm: Array, protocol: Protocol, kernel: ScatterKernel
 ) -> Array:
-    """Compute the scatter over the maximum of the open beam.
+    """Compute the scatter signal relative to the maximum of the open-beam signal.
 
     Parameters
     ----------
     kernel_input : KernelInput
         Open beam, mass per area and transmission in cells.
     air_gaps_mm : (rows, cols) array, mm
-        Distance from the exit of the object to the detector plane, per cell.
+        Distance from the exit surface of the object to the detector plane, per cell.
     protocol : Protocol
-        Technique; its tube voltage and projection count.
+        Protocol, of which the tube voltage and the projection are used.
     kernel : ScatterKernel
         Fitted constants.
 
     Returns
     -------
     (rows, cols) float64 array
-        Scatter over the maximum of the open beam, dimensionless.
+        Scatter signal divided by the maximum of the open-beam signal, dimensionless.
     """
     opened, passed, plane = (
         kernel_input.open_beam,
         kernel_input.transmission,
         _FourierPlane(kernel_input.open_beam.shape, kernel_input.cell_mm),
     )
-    # Mass is clipped to the fitted range, because metal is far outside it and its powers would grow without bound.
+    # The mass per area is clipped to the fitted range, because the powers of very large values, behind metal, would be
+    # far too large.
     straight = (
         kernel_input.mass_g_per_cm2 * _tilt_cosines(air_gaps_mm, kernel_input.cell_mm) / kernel.reference_g_per_cm2
     )
@@ -347,7 +351,7 @@ def _tilt_cosines(air_gaps_mm: Array, cell_mm: float) -> Array:
 
 
 def _split_by_gap(air_gaps_mm: Array) -> list[tuple[float, Array]]:
-    """Choose a few gaps in mm between the least and the greatest, each with interpolation weights (rows, cols)."""
+    """Choose a few gaps in mm from the smallest to the largest, each with interpolation weights (rows, cols)."""
     least, most = float(air_gaps_mm.min()), float(air_gaps_mm.max())
     count = int(np.ceil((most - least) / _GAP_STEP_MM)) + 1
     if count == 1:
@@ -357,7 +361,7 @@ def _split_by_gap(air_gaps_mm: Array) -> list[tuple[float, Array]]:
 
 
 class _FourierPlane:
-    """Convolution with normalised Gaussians on a grid; nothing enters from outside the collimated field."""
+    """Convolution with normalised Gaussians on a grid of cells, with zeros outside the grid."""
 
     def __init__(self, shape: tuple[int, ...], cell_mm: float) -> None:
         self.shape, self.padded_shape = shape, [fft.next_fast_len(2 * n, real=True) for n in shape]
@@ -365,7 +369,7 @@ class _FourierPlane:
         self.exponent = -2 * (np.pi / cell_mm) ** 2 * (fy[:, None] ** 2 + fx**2)
 
     def transform_image(self, image: Array) -> NDArray[np.complex128]:
-        """Compute the spectrum of an image.
+        """Compute the Fourier transform of an image.
 
         Parameters
         ----------
@@ -375,12 +379,12 @@ class _FourierPlane:
         Returns
         -------
         (padded rows, padded cols / 2 + 1) complex128 array
-            Spectrum of the image, padded with zeros.
+            Fourier transform of the image, padded with zeros.
         """
         return np.asarray(fft.rfft2(image, self.padded_shape))
 
     def gaussian_transfer(self, sigma_mm: float) -> Array:
-        """Compute the spectrum of a normalised Gaussian.
+        """Compute the Fourier transform of a normalised Gaussian.
 
         Parameters
         ----------
@@ -390,38 +394,38 @@ class _FourierPlane:
         Returns
         -------
         (padded rows, padded cols / 2 + 1) float64 array
-            Transfer from 0 to 1.
+            Transfer factor at each frequency, from 0 to 1.
         """
         return np.asarray(np.exp(self.exponent * sigma_mm**2))
 
     def invert_transform(self, spectrum: NDArray[np.complex128]) -> Array:
-        """Compute the image of a spectrum.
+        """Compute the image from its Fourier transform.
 
         Parameters
         ----------
         spectrum : (padded rows, padded cols / 2 + 1) complex128 array, any unit
-            Spectrum of the padded image.
+            Fourier transform of the padded image.
 
         Returns
         -------
         (rows, cols) float64 array
-            Image in the same unit.
+            Image, in the unit of the input.
         """
         return np.asarray(fft.irfft2(spectrum, self.padded_shape)[: self.shape[0], : self.shape[1]])
 
     def blur_spectrum(self, spectrum: NDArray[np.complex128], sigma_mm: float) -> Array:
-        """Compute the image of a spectrum, blurred by a normalised Gaussian.
+        """Compute the image from its Fourier transform, blurred by a normalised Gaussian.
 
         Parameters
         ----------
         spectrum : (padded rows, padded cols / 2 + 1) complex128 array, any unit
-            Spectrum of the padded image.
+            Fourier transform of the padded image.
         sigma_mm : float
             Standard deviation of the Gaussian, in mm.
 
         Returns
         -------
         (rows, cols) float64 array
-            Blurred image in the same unit.
+            Blurred image, in the unit of the input.
         """
         return self.invert_transform(spectrum * self.gaussian_transfer(sigma_mm))

@@ -1,4 +1,4 @@
-"""Voxel grid: a scene of closed surfaces as materials on a regular grid, for the Monte Carlo."""
+"""Conversion of a scene of closed surfaces to a voxel grid of materials, for the Monte Carlo simulation."""
 
 import math
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ from ..raycast.engines.crossings import Window
 from ..raycast.engines.projected_surface import BAND_ROWS, project_surface
 from ..raycast.engines.scanline import find_crossings
 
-# Distance of the source, in mm, at which rays are parallel to the voxel columns to 1e-5 of a voxel.
+# Distance of the source that makes rays parallel to the voxel columns within 1e-5 voxels, in mm.
 _SOURCE_DISTANCE_MM = 1e7
-# Largest number of voxels.
+# Largest allowed number of voxels.
 _MAX_VOXELS = 30_000_000
 
 
 class _ColumnCrossings(NamedTuple):
-    """Crossings of columns of voxels with a surface: `starts`, `depth` and `sign` as in `Crossings`."""
+    """Crossings of the centre lines of voxel columns with a surface: `starts`, `depth` and `sign` as in `Crossings`."""
 
     starts: NDArray[np.int64]
     depth: Array
@@ -36,9 +36,9 @@ class Voxels:
     Attributes
     ----------
     index : (x, y, z) uint8 array
-        Number of the material of each voxel in `names`.
+        Index in `names` of the material of each voxel.
     names : tuple of str
-        Materials, the ambient one first.
+        Names of the materials; the ambient material is first.
     origin_mm : (3,) float64 array
         Lower corner of voxel (0, 0, 0), in mm.
     size_mm : (3,) float64 array
@@ -57,17 +57,17 @@ class Voxels:
 
 
 def voxelise_scene(scene: Scene, bounds_mm: Array | None = None, *, voxel_mm: float = 2.0) -> Voxels:
-    """Find the material at the centre of every voxel of a box.
+    """Find the material at the centre of every voxel of a grid.
 
     Parameters
     ----------
     scene : Scene
         Closed surfaces with their materials.
     bounds_mm : (2, 3) array, mm, optional
-        Lower and upper corner of the box; by default the box around the scene. In x and z the grid may exceed the box
-        by up to one voxel.
+        Lower and upper corner of the volume to voxelise; by default the bounding box of the scene. In x and z, the grid
+        may exceed the volume by up to one voxel.
     voxel_mm : float, default 2
-        Voxel size, from 0.05 to 100 mm. In y it may be smaller, so that the last voxel ends with the box.
+        Voxel size, from 0.05 to 100 mm. In y the voxels may be smaller, so that the grid ends exactly at the volume.
 
     Returns
     -------
@@ -77,13 +77,14 @@ def voxelise_scene(scene: Scene, bounds_mm: Array | None = None, *, voxel_mm: fl
     Raises
     ------
     InputError
-        If the scene cannot be traced, or has more than 30 million voxels or 255 materials.
+        If the scene cannot be traced, the grid would have more than 30 million voxels, or the scene has more than 255
+        materials.
 
     Notes
     -----
-    Each material of a voxel has a count: the surfaces around the voxel with the material inside, minus those with it
-    outside. The material with the largest count is that of the voxel, as in `raycast.trace`. Every material has its own
-    constant density.
+    In each voxel, every material has a count: the number of surrounding surfaces with the material inside, minus the
+    number with the material outside. The voxel gets the material with the largest count. This agrees with the path
+    lengths of `raycast.trace`. The density of every material is constant.
     """
     require_traceable(scene)
     require_in_range("voxel_mm", voxel_mm, 0.05, 100, "mm")
@@ -106,7 +107,7 @@ def voxelise_scene(scene: Scene, bounds_mm: Array | None = None, *, voxel_mm: fl
 
 
 def _fill_voxels(scene: Scene, origin: Array, size: Array, number: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """Compute the material numbers (rows, x, y); row 0 is the uppermost in z."""
+    """Compute the material numbers (rows, x, y); row 0 has the largest z."""
     high = origin + number * size
     view = View(
         source_mm=((origin[0] + high[0]) / 2, origin[1] - _SOURCE_DISTANCE_MM, (origin[2] + high[2]) / 2),
@@ -117,7 +118,8 @@ def _fill_voxels(scene: Scene, origin: Array, size: Array, number: NDArray[np.in
     )
     names = scene.materials
     sheets = [project_surface(surface.solid, view) for surface in scene.surfaces]
-    # Factor from a depth, as a fraction of the way from the source, to a position in the column, in voxels.
+    # Factor that converts a depth, as a fraction of the source-to-detector distance, to a position in the column, in
+    # voxels.
     scale = (_SOURCE_DISTANCE_MM + number[1] * size[1]) / size[1]
     index = np.empty((number[2], number[0], number[1]), np.uint8)
     for first in range(0, view.rows, BAND_ROWS):
@@ -156,7 +158,7 @@ def _count_surfaces(
     for pixel in range(len(starts) - 1):
         row, col = window.row + pixel // window.cols, window.col + pixel % window.cols
         for k in range(starts[pixel], starts[pixel + 1]):
-            # Every voxel centre behind the crossing counts, with +1 on entry and -1 on exit.
+            # Every voxel whose centre is behind the crossing changes its counts, by +1 on entry and -1 on exit.
             first = max(math.ceil(voxels - 0.5 - (1.0 - depth[k]) * scale), 0)
             for y in range(first, voxels):
                 inside[row, col, y] -= sign[k]

@@ -1,11 +1,12 @@
 """Radiomics study of a cohort: `run` turns a manifest into tables, models and a report.
 
-A module imports only from those listed above it.
+Each module imports only from modules listed above it.
 
 ===========================================  ==========================================================================
 Module                                       Purpose
 ===========================================  ==========================================================================
 design.study_settings                        settings of a study; names of selections and classifiers
+design.experiment_settings                   settings of cohort, study, patient radiographs and designs; settings file
 design.sensitivity_plan                      plans of radiographs for Sobol indices and local slopes
 design.response_curve_design                 plans of knees imaged at steps of one protocol parameter
 design.patient_sets                          patient radiographs used as an external test set
@@ -14,6 +15,7 @@ design.manifest_checks                       checks of the values of a manifest
 design.study_tables                          data tables of the package that a study reads
 study_result                                 paths and main tables of a finished study
 predictions                                  predictions as tables, passed from training to statistics
+study_data                                   inputs, features, predictions and tables passed between stages
 statistics.features                          degenerate features, ICC, localisation error, importance, dimensions
 statistics.scores                            metrics, 95 % intervals, calibration, subgroups, claims, patient scores
 statistics.analyses                          leakage, incremental value, learning and response curves, sensitivity
@@ -23,12 +25,12 @@ learn.models                                 feature selection, classifiers, bas
 learn.protocol_scenarios                     training and testing within, across and over protocols
 learn.protocol_transfer                      stable features and harmonisation across protocols
 learn.training                               all splits in parallel
-learn.incremental_value                      AUC of JSW, features and both
+learn.incremental_value                      AUC of JSW, of features, and of JSW with features
 learn.response_curves                        predictions at every step of a protocol parameter
 learn.confounded_training                    models where age, BMI or site is associated with grade
 learn.grade_separability                     highest AUC that the parameters of sampled knees allow
 learn.benchmark_baselines                    baselines of a benchmark data set
-measurement                                  regions and features from a manifest
+measurement                                  joint regions and their features, from a manifest
 segmentation_accuracy                        agreement of the segmented bone with the true masks
 prediction.patient_test                      models tested on patient radiographs
 report                                       figures, run cost, environment, checklist and HTML page
@@ -77,7 +79,7 @@ _REQUIRED_PACKAGES = {
 
 
 def require_extra(scheduler: str | None = None) -> None:
-    """Check that the libraries of the extra ``study`` are installed.
+    """Check that the libraries of the ``study`` extra are installed.
 
     Parameters
     ----------
@@ -87,7 +89,7 @@ def require_extra(scheduler: str | None = None) -> None:
     Raises
     ------
     InputError
-        A library is missing here or on a worker; the message says how to install it.
+        A library is missing in this process or on a worker; the message says how to install it.
     """
     missing = [package for module, package in _REQUIRED_PACKAGES.items() if find_spec(module) is None]
     if missing:
@@ -120,28 +122,29 @@ def run(
     manifest : DataFrame
         One row per radiograph: radiograph, subject, knee, side, grade, protocol, file, sha256, pixel_mm, sdd_mm,
         sod_mm, truth_medial_row_px, truth_medial_col_px. The baselines also need sex, age_years, stature_mm and
-        nominal_jsw_medial_mm; a baseline without its columns is left out.
+        nominal_jsw_medial_mm; a baseline with missing columns is omitted.
     load_pixels : callable
         Function from an entry of the column ``file`` to (rows, cols) uint16 pixels, linear in the signal. It must be
-        picklable for more than one worker.
+        picklable if there is more than one worker.
     templates : sequence of Template
         Radiographs of standard knees with different joint space widths, the widest first.
     settings : StudySettings
-        Everything besides the cohort that the results depend on.
+        All settings that the results depend on, except those of the cohort.
     out : Path
-        Folder that the files are written to.
+        Output folder.
     retest : DataFrame, optional
         Repeat radiographs of some knees under the reference protocol, used only for the reliability of features. The
-        columns are those of the manifest, with ``kind`` ("noise" or "perturbation") and ``turn``.
+        columns are those of the manifest, with ``kind`` ("noise" or "perturbation") and ``repeat_index``.
     load_masks : callable, optional
         Function from an entry of the column ``masks`` of `retest` to bone masks by name, each (rows, cols) bool. The
-        segmented bone is compared with them. It must be picklable. None skips the comparison.
+        segmented bone is compared with these masks. The function must be picklable. None skips the comparison.
     films : FilmSet, optional
         Patient radiographs used as an external test set.
     designed : DesignedManifests, optional
-        Manifests of radiographs acquired by design: the manifest's columns with kind, turn and of_knee.
+        Manifests of response curves, Sobol samples and sensitivity pairs. Their columns are those of `manifest`, kind,
+        repeat_index and source_knee.
     execution : Execution, optional
-        Workers, scheduler, timer and progress bar. Stages already in its timer come first in the report.
+        Workers, scheduler, timer and progress bar. Stages that its timer already contains come first in the report.
 
     Returns
     -------
@@ -151,14 +154,14 @@ def run(
     Raises
     ------
     InputError
-        The manifest lacks a column or has too few subjects, a repeat does not belong to a knee of the manifest or
-        reuses its file, or a library is missing.
+        The manifest lacks a column or has too few subjects. A repeat radiograph does not belong to a knee of the
+        manifest, or reuses a file. A library is missing.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
     require_extra()
     from .design.study_tables import load_study_tables
-    from .measurement import StudyContext
+    from .study_data import StudyContext
     from .study_pipeline import run_study
 
     given = StudyContext(
@@ -188,9 +191,9 @@ def measure(
     templates : sequence of Template
         Radiographs of standard knees, the widest joint space first.
     settings : StudySettings
-        Region size, grey-level bins, feature families and backend are read.
+        Only region size, grey-level bins, feature families and backend are used.
     out : Path
-        Folder that ``features.csv`` is written to.
+        Output folder of ``features.csv``.
     retest : DataFrame, optional
         Repeat radiographs of some knees, as for `run`.
     execution : Execution, optional
@@ -204,13 +207,14 @@ def measure(
     Raises
     ------
     InputError
-        The inputs cannot be used; see `run`.
+        An input is not valid; see `run`.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
     require_extra()
     from .design.study_tables import load_study_tables
-    from .measurement import StudyContext, measure_features
+    from .measurement import measure_features
+    from .study_data import StudyContext
 
     given = StudyContext(load_pixels, templates, settings, out, execution or Execution(), load_study_tables())
     measure_features(given, manifest, retest)

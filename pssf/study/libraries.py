@@ -1,6 +1,6 @@
-"""Names of distributions that depend on the platform."""
+"""Names of Python distributions that depend on the platform."""
 
 import sys
 
-# The CPU build of xgboost has no wheels for macOS; the standard build has no GPU code there.
+# The distribution xgboost-cpu has no wheels for macOS. The wheels of xgboost for macOS contain no GPU code.
 XGBOOST = "xgboost" if sys.platform == "darwin" else "xgboost-cpu"

@@ -1,69 +1,31 @@
-"""First stage of a study: locate the regions of a manifest and measure their features."""
+"""First stage of a study: locate the joint region of each radiograph and measure its features."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
 from ..core.checks import InputError, require_choice
-from ..core.processes.execution import Execution
 from ..io import study_results
 from ..radiomics.features.feature_table import (
     NON_FEATURE_COLUMNS,
     TEXT_COLUMNS,
     ExtractionSettings,
-    LoadPixels,
     MeasurementJob,
     Record,
     measure_radiographs,
 )
-from ..radiomics.localisation.templates import Template
 from .design.manifest_checks import require_manifest, require_unique_files
 from .design.study_settings import StudySettings
-from .design.study_tables import StudyTables
 from .learn.models.trivial_baselines import BASELINE_MANIFEST_COLUMNS
 from .predictions import concatenate_tables
 from .statistics.analyses.leakage_checks import require_consistent_identifiers
 from .statistics.features.reliability import REPEAT_LABELS
+from .study_data import StudyContext
 
 _COLUMNS = (
     *("radiograph", "subject", "knee", "side", "grade", "protocol", "file", "sha256"),
     *("pixel_mm", "sdd_mm", "sod_mm", "truth_medial_row_px", "truth_medial_col_px"),
 )
-
-
-@dataclass(frozen=True)
-class StudyContext:
-    """Hold the inputs, settings and execution that all stages share.
-
-    Parameters
-    ----------
-    load_pixels : callable
-        Function from an entry of the column ``file`` to (rows, cols) uint16 pixels, linear in the signal.
-    templates : sequence of Template
-        Radiographs of standard knees, the widest joint space first.
-    settings : StudySettings
-        Settings of the study.
-    out : Path
-        Folder that the files are written to.
-    execution : Execution
-        Workers, scheduler, timer and progress bar.
-    tables : StudyTables
-        Data tables of the package that the study reads.
-    load_masks : callable, optional
-        Function from an entry of the column ``masks`` of the repeats to bone masks by name, each (rows, cols) bool;
-        None if no masks are known.
-    """
-
-    load_pixels: LoadPixels
-    templates: Sequence[Template]
-    settings: StudySettings
-    out: Path
-    execution: Execution
-    tables: StudyTables
-    load_masks: Callable[[str], Mapping[str, Any]] | None = None
 
 
 def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> pd.DataFrame:
@@ -74,7 +36,7 @@ def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> pd.DataFr
     manifest : DataFrame
         One row per radiograph.
     settings : StudySettings
-        Settings; the manifest must have their reference protocol.
+        Settings of the study; their reference protocol must be in the manifest.
 
     Returns
     -------
@@ -84,14 +46,14 @@ def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> pd.DataFr
     Raises
     ------
     InputError
-        A column is missing, the reference protocol does not occur, a radiograph or file is listed twice, identifiers
-        contradict each other, or a value is out of range; see `require_manifest`.
+        A column or the reference protocol is missing, or a radiograph or file is listed twice. Identifiers contradict
+        each other, or a value is out of range; see `require_manifest`.
     """
     if not isinstance(manifest, pd.DataFrame):
         require_manifest(manifest)
     missing = [name for name in _COLUMNS if name not in manifest.columns]
     if missing:
-        raise InputError(f"manifest must have the columns {', '.join(_COLUMNS)}, got none named {', '.join(missing)}")
+        raise InputError(f"manifest must have the columns {', '.join(_COLUMNS)}, got no {', '.join(missing)}")
     manifest = require_manifest(manifest)
     require_choice("reference", settings.reference, sorted(set(manifest["protocol"].astype(str))))
     twice = manifest["radiograph"][manifest["radiograph"].duplicated()]
@@ -103,25 +65,25 @@ def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> pd.DataFr
 
 
 def _append_retest(manifest: pd.DataFrame, retest: pd.DataFrame | None) -> pd.DataFrame:
-    """Append the repeat radiographs to the columns of the manifest that the study reads.
+    """Append the repeat radiographs to the manifest, reduced to the columns that the study reads.
 
-    The column ``kind`` is empty for the first radiograph of a knee. Raise InputError for repeats that lack a column,
-    reuse a radiograph or a file, or contradict the manifest.
+    The column ``kind`` is empty for the first radiograph of a knee. Raise InputError for repeat radiographs that
+    lack a column, reuse a radiograph or a file, or contradict the manifest.
     """
     columns = [*_COLUMNS, *(name for name in BASELINE_MANIFEST_COLUMNS if name in manifest)]
-    first = manifest[columns].assign(kind="", turn="")
+    first = manifest[columns].assign(kind="", repeat_index="")
     if retest is None or retest.empty:
         return first
-    missing = [name for name in (*columns, "kind", "turn") if name not in retest]
+    missing = [name for name in (*columns, "kind", "repeat_index") if name not in retest]
     if missing:
         raise InputError(
-            "manifest of repeats must have the columns of the manifest, kind and turn, got none named "
+            "manifest of repeats must have the columns of the manifest, kind and repeat_index, got no "
             f"{', '.join(missing)}"
         )
     retest = require_manifest(retest, "manifest of repeats")
     for kind in retest["kind"].unique():
         require_choice("kind of repeat", kind, tuple(REPEAT_LABELS))
-    both = concatenate_tables([first, retest[[*columns, "kind", "turn"]]])
+    both = concatenate_tables([first, retest[[*columns, "kind", "repeat_index"]]])
     twice = both["radiograph"][both["radiograph"].duplicated()]
     if len(twice):
         raise InputError(f"manifest of repeats must list each radiograph once, got {twice.iloc[0]} listed twice")
@@ -131,32 +93,32 @@ def _append_retest(manifest: pd.DataFrame, retest: pd.DataFrame | None) -> pd.Da
 
 
 def _require_valid_repeats(manifest: pd.DataFrame, retest: pd.DataFrame) -> None:
-    """Raise InputError for a repeat that reuses a file, or whose knee is not in the manifest.
+    """Raise InputError if a repeat radiograph reuses a file or its knee is not in the manifest.
 
-    A reused file would agree with itself.
+    The agreement of a file with itself would be perfect.
     """
     known = retest["sha256"].isin(manifest["sha256"]) | retest["sha256"].duplicated()
     if known.any():
         row = retest[known].iloc[0]
         raise InputError(
-            f"manifest of repeats: radiograph {row['radiograph']} must have a file of its own, "
-            f"got sha256 = {row['sha256'][:12]}... of another radiograph ({int(known.sum())} such rows)"
+            f"manifest of repeats: radiograph {row['radiograph']} must have its own file, "
+            f"got sha256 = {row['sha256'][:12]}... of another radiograph ({int(known.sum())} rows affected)"
         )
     strange = ~retest["knee"].isin(manifest["knee"])
     if strange.any():
         row = retest[strange].iloc[0]
         raise InputError(
-            f"manifest of repeats: radiograph {row['radiograph']} must have a knee of the manifest, "
-            f"got knee = {row['knee']} ({int(strange.sum())} such rows)"
+            f"manifest of repeats: radiograph {row['radiograph']} must be of a knee in the manifest, "
+            f"got knee = {row['knee']} ({int(strange.sum())} rows affected)"
         )
 
 
 def measure_features(
     run: StudyContext, manifest: pd.DataFrame, retest: pd.DataFrame | None
 ) -> tuple[pd.DataFrame, list[str], dict[str, float]]:
-    """Locate the regions of a cohort and measure their features.
+    """Locate the joint region in each radiograph of a cohort and measure its features.
 
-    The records are kept in ``features.csv``, so that a later run can continue from them.
+    The records are written to ``features.csv``; a later run reads them and continues.
 
     Parameters
     ----------
@@ -170,16 +132,16 @@ def measure_features(
     Returns
     -------
     table : DataFrame
-        Manifest and repeats with region and features of each radiograph.
+        Manifest and repeat radiographs, with region and features of each radiograph.
     names : list of str
         Names of the features.
     work : dict of str to float
-        Seconds of work in each step, summed over the processes.
+        Time of each step in s, summed over the processes.
 
     Raises
     ------
     InputError
-        The manifest or the repeats cannot be used.
+        The manifest or the table of repeat radiographs is not valid.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -193,17 +155,17 @@ def measure_features(
 
 
 def measure_designed_features(run: StudyContext, radiographs: pd.DataFrame, name: str, pixel_mm: float) -> pd.DataFrame:
-    """Locate the regions of designed radiographs and measure their features.
+    """Locate the joint region in each designed radiograph and measure its features.
 
-    A region has the same side in mm at every pixel pitch. The records of each region size in px are kept in
-    ``features_<name>_<side>.csv``.
+    The side length of a region in mm is the same at every pixel pitch. The records of each side length in px are
+    written to ``features_<name>_<side>.csv``.
 
     Parameters
     ----------
     run : StudyContext
         Inputs, settings and execution.
     radiographs : DataFrame
-        One manifest of `DesignedManifests`.
+        One of the manifests in `DesignedManifests`.
     name : str
         Name of the design, used in the file name.
     pixel_mm : float
@@ -217,7 +179,7 @@ def measure_designed_features(run: StudyContext, radiographs: pd.DataFrame, name
     Raises
     ------
     InputError
-        A worker runs other code.
+        A worker runs another version of the code.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -233,9 +195,9 @@ def measure_designed_features(run: StudyContext, radiographs: pd.DataFrame, name
 def _measure_records(
     run: StudyContext, radiographs: pd.DataFrame, path: Path, region_px: int, stage: str
 ) -> tuple[pd.DataFrame, dict[str, float]]:
-    """Measure the radiographs in order and keep the records in a table.
+    """Measure radiographs, reusing the records in a CSV file, and save all records in the file.
 
-    Return the records and the seconds of work in each step.
+    Return the records and the time of each step in s.
     """
     settings = run.settings
     earlier = study_results.load_table(path, TEXT_COLUMNS)

@@ -1,4 +1,4 @@
-"""Predictions as tables, passed from training to statistics.
+"""Prediction tables, passed from training to statistics.
 
 An arm is one combination of task, scenario, training protocols, test protocols, model and feature selection.
 """
@@ -13,32 +13,32 @@ from numpy.typing import NDArray
 from .design.classification_tasks import TASKS, Classes
 
 ARM_COLUMNS = ["task", "scenario", "trained_on", "tested_on", "model", "selection"]
-# Baselines that an image model must outperform; they are further models of an arm, with the selection "none".
+# Baselines that an image model must outperform: name in the column ``model`` -> label. Their selection is "none".
 BASELINES = {"chance": "Chance", "body": "Age, sex, stature", "jsw": "JSW (true)"}
 NO_SELECTION = "none"
 
 
 @dataclass(frozen=True)
 class SplitOutcome:
-    """Hold everything that one split of the subjects produces.
+    """Predictions and tables from one split of the subjects.
 
     Attributes
     ----------
     predictions : DataFrame
-        `ARM_COLUMNS`, repeat, radiograph, knee, subject, protocol, truth (class index), and one probability per class:
-        p0, p1 and so on.
+        Columns `ARM_COLUMNS`, repeat, radiograph, knee, subject, protocol, truth (class index), and the probability of
+        each class (p0, p1 and so on).
     importances : DataFrame
-        `ARM_COLUMNS` without ``tested_on``, repeat, feature, share.
+        Columns `ARM_COLUMNS` without ``tested_on``, repeat, feature, importance.
     selection_candidates : DataFrame
-        Features left after pruning, from which a selection chooses: task, trained_on, selection, repeat, feature.
+        Features after pruning, among which a feature selection chooses: task, trained_on, selection, repeat, feature.
     permutation : DataFrame
-        Permutation importance within protocol for 0 vs 2: model, selection, repeat, feature, drop.
+        Permutation importance in the within-protocol scenario for 0 vs 2: model, selection, repeat, feature, drop.
     tuning : DataFrame
         Hyperparameters chosen on the validation subjects: task, trained_on, model, selection, repeat, parameter, value.
     stable_feature_count : int or None
         Number of features that are stable across protocols in the training subjects; None with one protocol.
     subjects : DataFrame
-        Part of each subject: repeat, subject, part.
+        Columns repeat, subject and part (training, validation or test).
     """
 
     predictions: pd.DataFrame
@@ -63,7 +63,7 @@ def find_class_indices(grades: NDArray[np.int64], classes: Classes) -> NDArray[n
     Returns
     -------
     (rows,) int64 array
-        Index of the class of each row.
+        Class index of each row.
     """
     index = {grade: place for place, one in enumerate(classes) for grade in one}
     return np.array([index[int(grade)] for grade in grades], np.int64)
@@ -85,13 +85,13 @@ def extract_truth_and_probability(predictions: pd.DataFrame) -> tuple[NDArray[np
         Predicted probability of each class.
     """
     columns = [f"p{k}" for k in range(len(TASKS[predictions["task"].iloc[0]]))]
-    # Columns are extracted one by one, because a table of a few columns takes four times as long to convert.
+    # Columns are converted one by one, which takes a quarter of the time of converting the table.
     probability = np.array([predictions[column].to_numpy(np.float64) for column in columns]).T
     return predictions["truth"].to_numpy(np.int64), probability
 
 
 def concatenate_tables(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    """Stack tables below each other with a new index.
+    """Stack tables vertically and number the rows anew.
 
     Parameters
     ----------
@@ -101,6 +101,6 @@ def concatenate_tables(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        All rows.
+        Rows of all tables.
     """
     return pd.concat(tables, ignore_index=True)

@@ -1,4 +1,4 @@
-"""Reuse of a finished run, so that repeating the same study takes seconds."""
+"""Reuse of the results of a finished run with the same inputs."""
 
 import hashlib
 import json
@@ -22,12 +22,12 @@ _SINGLE_FILES = ("report.html", "study.json", "environment.json", "checklist.jso
 
 
 class FinishedRun(Record, frozen=True):
-    """Record the files of a finished run and their hashes.
+    """Files of a finished run and their hashes.
 
     Attributes
     ----------
     key : str
-        Hash of everything that the results depend on.
+        Hash of all inputs that the results depend on; see `compute_run_key`.
     pictures : dict of str to str
         File of each figure, relative to the folder of the study.
     tables : dict of str to str
@@ -48,12 +48,12 @@ class FinishedRun(Record, frozen=True):
     sha256: dict[str, str]
 
     def is_complete(self) -> bool:
-        """Check that every file has a hash and that the tables to load are listed.
+        """Check that every file has a hash and that all tables in `_LOADED_TABLES` are listed.
 
         Returns
         -------
         bool
-            True if the record is complete.
+            True if no hash and no table is missing.
         """
         named = {*_SINGLE_FILES, *(file for kind in _FILE_KINDS for file in getattr(self, kind).values())}
         return named == set(self.sha256) and set(_LOADED_TABLES) <= set(self.tables)
@@ -62,12 +62,12 @@ class FinishedRun(Record, frozen=True):
 def compute_run_key(
     manifests: list[pd.DataFrame], settings: StudySettings, engine: str, films: FilmSet | None = None
 ) -> str:
-    """Hash everything that the results of a study depend on, including code and library versions.
+    """Hash all inputs that the results of a study depend on, including code and library versions.
 
     Parameters
     ----------
     manifests : list of DataFrame
-        Manifests of the cohort, its repeats and its designed radiographs.
+        Manifests of cohort radiographs, repeat radiographs and designed radiographs.
     settings : StudySettings
         Settings of the study.
     engine : str
@@ -89,16 +89,16 @@ def compute_run_key(
 
 
 def save_finished_run(result: StudyResult, out: Path, key: str) -> None:
-    """Record the files of a finished run and their hashes.
+    """Write a list of the files of a finished run and their hashes.
 
     Parameters
     ----------
     result : StudyResult
-        Result whose files are recorded.
+        Result of the finished run.
     out : Path
         Folder of the study.
     key : str
-        Key of `compute_run_key`.
+        Key from `compute_run_key`.
     """
     files = {
         kind: {name: str(path.relative_to(out)) for name, path in getattr(result, kind).items()} for kind in _FILE_KINDS
@@ -120,12 +120,12 @@ def load_finished_run(out: Path, key: str) -> StudyResult | None:
     out : Path
         Folder of the study.
     key : str
-        Key of `compute_run_key`.
+        Key from `compute_run_key`.
 
     Returns
     -------
     StudyResult or None
-        Result of the earlier run; None if there is none, or if one of its files is missing or changed.
+        Result of the earlier run; None if there is no such run, or if one of its files is missing or changed.
     """
     end = study_results.load_json(out / _RECORD_FILE, FinishedRun)
     if end is None or end.key != key or not end.is_complete():

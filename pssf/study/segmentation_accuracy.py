@@ -15,7 +15,7 @@ from ..radiomics.features.bone_mask import segment_bone
 from ..radiomics.features.mask_overlap import compute_mask_overlap
 from ..radiomics.localisation.region_of_interest import cut_region
 from .learn.each_split import CODE_PACKAGES
-from .measurement import StudyContext
+from .study_data import StudyContext
 
 LoadMasks = Callable[[str], Mapping[str, NDArray[np.bool_]]]
 COLUMNS = ["grade", "radiographs", "dice", "dice_p5", "mean_mm", "p95_mm", "area"]
@@ -23,14 +23,14 @@ COLUMNS = ["grade", "radiographs", "dice", "dice_p5", "mean_mm", "p95_mm", "area
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentationJob:
-    """Describe one radiograph with known masks.
+    """Inputs for the overlap measurement of segmented and true bone in one radiograph.
 
     Parameters
     ----------
     file : str
-        Argument of the pixel loader.
+        Path of the radiograph, passed to the pixel loader.
     masks : str
-        Argument of the mask loader.
+        Path of the masks, passed to the mask loader.
     row : float
         Row of the centre of the region, in px.
     col : float
@@ -57,7 +57,7 @@ def evaluate_segmentation(repeated: pd.DataFrame, retest: pd.DataFrame | None, r
     repeated : DataFrame
         Repeat radiographs with a located region: radiograph, grade, row_px, col_px, pixel_mm, sdd_mm, sod_mm.
     retest : DataFrame or None
-        Manifest of the repeats; its column ``masks`` names the mask files.
+        Manifest of the repeat radiographs; its column ``masks`` contains the paths of the mask files.
     run : StudyContext
         Loaders, settings and execution.
 
@@ -65,12 +65,12 @@ def evaluate_segmentation(repeated: pd.DataFrame, retest: pd.DataFrame | None, r
     -------
     DataFrame
         Columns `COLUMNS`: grade, radiographs, means of the overlap measures, and the 5th percentile of Dice. The table
-        is empty if no masks are known.
+        is empty without mask files.
 
     Raises
     ------
     InputError
-        A worker runs other code.
+        A worker runs another version of the code.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -122,14 +122,14 @@ def measure_overlap(
     load_masks : callable
         Function from `job.masks` to bone masks by name; the true bone is their union.
     size : int
-        Side of the region, in px.
+        Side length of the region, in px.
     code : mapping of str to str
-        Hashes of the code where the run started.
+        Code hashes in the process that started the run.
 
     Returns
     -------
     dict of str to float
-        Measures of `compute_mask_overlap`: dice, mean_mm, p95_mm, area.
+        Measures from `compute_mask_overlap`: dice, mean_mm, p95_mm, area.
 
     Raises
     ------
@@ -143,6 +143,6 @@ def measure_overlap(
 
 
 def _summarise_overlap(part: pd.DataFrame) -> dict[str, float]:
-    """Average the overlap measures of some radiographs and take the 5th percentile of Dice."""
+    """Compute the mean overlap measures over radiographs and the 5th percentile of Dice."""
     means = {name: part[name].mean() for name in ("mean_mm", "p95_mm", "area")}
     return {"radiographs": len(part), "dice": part["dice"].mean(), "dice_p5": part["dice"].quantile(0.05), **means}

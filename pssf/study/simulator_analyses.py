@@ -1,24 +1,22 @@
 """Analyses that need a simulator: incremental value, learning curves, response curves, sensitivity, confounding."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import pandas as pd
 
 from ..model.sampling.knee_sampling import KneeDistributions
 from .design.classification_tasks import select_contrast
-from .design.response_curve_design import PROTOCOL_AXES, DesignedManifests
+from .design.response_curve_design import PROTOCOL_AXES
 from .design.study_settings import StudySettings
 from .learn.confounded_training import CLASSES, CONFOUNDERS, evaluate_confounding
 from .learn.grade_separability import DEFAULT_KNEE_COUNT, estimate_separability
 from .learn.incremental_value import build_predictor_table, evaluate_predictor_sets, find_predictor_sets
 from .learn.response_curves import evaluate_response_curves
 from .learn.subject_split import select_splittable_grades, split_subjects
-from .measurement import StudyContext, measure_designed_features
+from .measurement import measure_designed_features
 from .predictions import concatenate_tables
-from .report.report_page import Picture
+from .report.report_elements import Picture, Section
 from .report.report_sections import (
-    Section,
     make_confounders_section,
     make_incremental_value_section,
     make_learning_section,
@@ -33,29 +31,28 @@ from .statistics.analyses import (
     response_curve_statistics,
     sensitivity_analysis,
 )
-from .statistics.analyses.knee_parameters import extract_knee_parameters
 from .statistics.features.feature_importance import select_leading_features
-from .statistics.result_tables import Tables
 from .statistics.scores.tested_subjects import TEST_COUNT_COLUMNS, count_test_subjects, has_enough_test_subjects
+from .study_data import StudyContext, StudyData
 
-# Fractions of the training subjects that the learning curves use, besides all of them.
+# Fractions of the training subjects in the learning curves, in addition to all training subjects (fraction 1).
 _TRAINING_FRACTIONS = (0.2, 0.4, 0.6, 0.8)
-# Knees sampled for the first estimate of the best possible AUC; enough where grades do not overlap.
+# Number of knees in the first estimate of the best possible AUC; it is sufficient if the grades do not overlap.
 _INITIAL_KNEE_COUNT = 1_000
-# Predictor sets that have a learning curve.
+# Predictor sets for which a learning curve is computed.
 _LEARNING_CURVE_SETS = ("measured", "radiomics", "both")
 
 
 @dataclass(frozen=True)
 class SimulatorAnalyses:
-    """Hold the tables of the analyses and the report sections that show them.
+    """Tables and report sections of the analyses that need a simulator.
 
     Attributes
     ----------
     tables : dict of str to DataFrame
-        Each table by its name, which is also the stem of its CSV file.
+        Tables by name; the name is also the stem of the CSV file.
     sections : list of Section
-        Sections of the report, in their order.
+        Sections of the report, in order.
     """
 
     tables: dict[str, pd.DataFrame]
@@ -67,82 +64,56 @@ class SimulatorAnalyses:
         Returns
         -------
         dict of str to Picture
-            Each figure by its name.
+            Figures by name.
         """
         return {picture.name: picture for section in self.sections for picture in section.pictures}
 
 
-def run_simulator_analyses(
-    run: StudyContext,
-    manifest: pd.DataFrame,
-    usable: pd.DataFrame,
-    names: list[str],
-    tables: Tables,
-    designed: DesignedManifests,
-    laws: KneeDistributions | None,
-) -> SimulatorAnalyses:
-    """Run every analysis that the available data allow.
+def run_simulator_analyses(study: StudyData) -> SimulatorAnalyses:
+    """Run every analysis whose input data are available.
 
     Parameters
     ----------
-    run : StudyContext
-        Inputs, settings and execution of the study.
-    manifest : DataFrame
-        Manifest of the cohort, one row per radiograph.
-    usable : DataFrame
-        Radiographs with a located region: knee, subject, grade, protocol and features.
-    names : list of str
-        Names of the features.
-    tables : dict of str to DataFrame
-        Tables of the study so far; ``importance`` and ``feature_parameter_correlations`` are read.
-    designed : DesignedManifests
-        Manifests of the radiographs acquired by design; analyses of missing manifests are left out.
-    laws : KneeDistributions or None
-        Distributions from which the knees were sampled; None if they are unknown.
+    study : StudyData
+        Study, with the tables ``importance`` and ``feature_parameter_correlations``.
 
     Returns
     -------
     SimulatorAnalyses
         All tables and report sections.
     """
-    parts = [_analyse_incremental_value(manifest, usable, names, run, laws)]
-    base, most = (
-        usable[usable["protocol"] == run.settings.reference],
-        select_leading_features(tables["importance"], run.settings),
-    )
-    parts.append(_analyse_confounders(manifest, usable, names, run))
+    designed = study.designed
+    parts = [_analyse_incremental_value(study), _analyse_confounders(study)]
     if designed.response_curves is not None:
-        parts.append(_analyse_response_curves(designed.response_curves, base, names, most, run))
+        parts.append(_analyse_response_curves(study, designed.response_curves))
     if designed.sobol_samples is not None or designed.sensitivity_pairs is not None:
-        parts.append(
-            _analyse_sensitivity(designed, manifest, base, names, most, tables["feature_parameter_correlations"], run)
-        )
+        parts.append(_analyse_sensitivity(study))
     answers = {name: table for part in parts for name, table in part.tables.items()}
     return SimulatorAnalyses(answers, [section for part in parts for section in part.sections])
 
 
-def _analyse_incremental_value(
-    manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], run: StudyContext, laws: KneeDistributions | None
-) -> SimulatorAnalyses:
+def _analyse_incremental_value(study: StudyData) -> SimulatorAnalyses:
     """Estimate incremental value, learning curves and power.
 
-    Return nothing if the manifest has no joint space widths or if the splits test too few subjects. Leave out a
-    grade with too few subjects to split.
+    Return no tables if the manifest has no joint space widths or the test sets have too few subjects. Omit a grade
+    with too few subjects to split.
     """
-    settings, execution = run.settings, run.execution
-    known = select_splittable_grades(build_predictor_table(usable, names, extract_knee_parameters(manifest), settings))
+    settings, execution, names = study.settings, study.run.execution, study.names
+    known = select_splittable_grades(build_predictor_table(study.usable, names, study.parameters, settings))
     if len(find_predictor_sets(known, names)) < 2 or not _is_decidable(known, settings):
         return SimulatorAnalyses({}, [])
     splits = evaluate_predictor_sets(known, names, settings, execution)
-    rungs, differences = (
+    predictor_sets, differences = (
         incremental_value_scores.summarise_predictor_sets(splits),
         incremental_value_scores.compare_predictor_sets(splits),
     )
-    if laws is not None:
+    if study.laws is not None:
         with execution.timer.stage("best possible AUC"):
-            best = _estimate_best_possible_auc(laws, run)
-        rungs = concatenate_tables([rungs, best[best["grades"].isin(rungs["grades"])]])
-        rungs = rungs.astype(dict.fromkeys(("trained", *TEST_COUNT_COLUMNS, "splits", "knees"), "Int64"))
+            best = _estimate_best_possible_auc(study.laws, study.run)
+        predictor_sets = concatenate_tables([predictor_sets, best[best["grades"].isin(predictor_sets["grades"])]])
+        predictor_sets = predictor_sets.astype(
+            dict.fromkeys(("training_subjects", *TEST_COUNT_COLUMNS, "splits", "knees"), "Int64")
+        )
     fewer = evaluate_predictor_sets(
         known,
         names,
@@ -153,12 +124,17 @@ def _analyse_incremental_value(
         stage="learning curves",
     )
     curves = learning_curves.compute_learning_curves(
-        concatenate_tables([fewer, splits[splits["rung"].isin(_LEARNING_CURVE_SETS)]])
+        concatenate_tables([fewer, splits[splits["predictor_set"].isin(_LEARNING_CURVE_SETS)]])
     )
     power = learning_curves.tabulate_power(splits, _count_subjects(known), settings.difference)
-    tables = {"ladder": rungs, "ladder_differences": differences, "learning": curves, "power": power}
+    tables = {
+        "incremental_value": predictor_sets,
+        "incremental_value_differences": differences,
+        "learning": curves,
+        "power": power,
+    }
     sections = [
-        make_incremental_value_section(rungs, differences, int(known["subject"].nunique())),
+        make_incremental_value_section(predictor_sets, differences, int(known["subject"].nunique())),
         make_learning_section(curves, power),
     ]
     return SimulatorAnalyses(tables, sections)
@@ -177,25 +153,23 @@ def _estimate_best_possible_auc(laws: KneeDistributions, run: StudyContext) -> p
     return best
 
 
-def _analyse_confounders(
-    manifest: pd.DataFrame, usable: pd.DataFrame, names: list[str], run: StudyContext
-) -> SimulatorAnalyses:
-    """Estimate the effect of age, BMI and site on a classifier.
+def _analyse_confounders(study: StudyData) -> SimulatorAnalyses:
+    """Estimate the confounding effect of age, BMI and imaging site on a classifier.
 
-    Use age and BMI if the manifest has them, and the site if there are two protocols. Return nothing if the splits
-    test too few subjects.
+    Use age and BMI if they are in the manifest, and the site if there are two protocols. Return no tables if the test
+    sets have too few subjects.
     """
-    known_of_knees = extract_knee_parameters(manifest)
-    columns = [name for name in CONFOUNDERS if name in known_of_knees]
-    known = usable[["knee", "subject", "grade", "protocol", *names]]
-    known = known.merge(known_of_knees[["knee", *columns]], on="knee", how="left")
+    settings, names = study.settings, study.names
+    columns = [name for name in CONFOUNDERS if name in study.parameters]
+    known = study.usable[["knee", "subject", "grade", "protocol", *names]]
+    known = known.merge(study.parameters[["knee", *columns]], on="knee", how="left")
     wanted = columns + (["site"] if known["protocol"].nunique() > 1 else [])
     if not wanted or not _is_decidable(
-        select_splittable_grades(known[known["grade"].isin(sum(CLASSES, ()))]), run.settings
+        select_splittable_grades(known[known["grade"].isin(sum(CLASSES, ()))]), settings
     ):
         return SimulatorAnalyses({}, [])
     table = confounding_effects.estimate_confounding(
-        evaluate_confounding(known, names, wanted, run.settings, run.execution)
+        evaluate_confounding(known, names, wanted, settings, study.run.execution)
     )
     if table.empty:
         return SimulatorAnalyses({}, [])
@@ -203,7 +177,7 @@ def _analyse_confounders(
 
 
 def _is_decidable(predictor_table: pd.DataFrame, settings: StudySettings) -> bool:
-    """Check that the first split tests enough subjects of the lowest grade and of any other grade."""
+    """Check that the first test set has enough subjects of the lowest grade and of at least one other grade."""
     if predictor_table.empty:
         return False
     test = predictor_table[
@@ -219,71 +193,65 @@ def _is_decidable(predictor_table: pd.DataFrame, settings: StudySettings) -> boo
     )
 
 
-def _measure_located(radiographs: pd.DataFrame, name: str, base: pd.DataFrame, run: StudyContext) -> pd.DataFrame:
-    """Measure designed radiographs and keep those with a located region."""
-    measured = measure_designed_features(run, radiographs, name, float(base["pixel_mm"].iloc[0]))
+def _measure_located(study: StudyData, radiographs: pd.DataFrame, name: str) -> pd.DataFrame:
+    """Measure designed radiographs; return the rows with a located region."""
+    measured = measure_designed_features(study.run, radiographs, name, float(study.base["pixel_mm"].iloc[0]))
     return measured[measured["status"] == "found"]
 
 
-def _analyse_sensitivity(
-    designed: DesignedManifests,
-    manifest: pd.DataFrame,
-    base: pd.DataFrame,
-    names: list[str],
-    leading_features: Sequence[str],
-    correlations: pd.DataFrame,
-    run: StudyContext,
-) -> SimulatorAnalyses:
-    """Compute Sobol indices and slopes of the features and merge them with the correlations."""
+def _analyse_sensitivity(study: StudyData) -> SimulatorAnalyses:
+    """Compute Sobol indices and slopes of the features and merge them with the feature-parameter correlations."""
+    settings, designed, names = study.settings, study.designed, study.names
     of_shares, of_slopes = (
         pd.DataFrame(columns=sensitivity_analysis.SOBOL_COLUMNS),
         pd.DataFrame(columns=sensitivity_analysis.SLOPE_COLUMNS),
     )
     if designed.sobol_samples is not None:
-        table = _measure_located(designed.sobol_samples, "sobol_samples", base, run)
-        with run.execution.timer.stage("Sobol indices"):
+        table = _measure_located(study, designed.sobol_samples, "sobol_samples")
+        with study.run.execution.timer.stage("Sobol indices"):
             of_shares = sensitivity_analysis.compute_sobol_indices(
-                table, names, designed.bounds, designed.sobol_sample_count, run.settings.seed
+                table, names, designed.bounds, designed.sobol_sample_count, settings.seed
             )
     if designed.sensitivity_pairs is not None:
-        table = _measure_located(designed.sensitivity_pairs, "sensitivity_pairs", base, run)
-        before = manifest[manifest["protocol"] == run.settings.reference]
-        of_slopes = sensitivity_analysis.compute_slopes(base, table, before, names, designed.bounds)
+        table = _measure_located(study, designed.sensitivity_pairs, "sensitivity_pairs")
+        before = study.manifest[study.manifest["protocol"] == settings.reference]
+        of_slopes = sensitivity_analysis.compute_slopes(study.base, table, before, names, designed.bounds)
+    correlations = study.tables["feature_parameter_correlations"]
     both = sensitivity_analysis.merge_sensitivity_tables(correlations, of_slopes, of_shares)
+    leading_features = select_leading_features(study.tables["importance"], settings)
     section = make_sensitivity_section(of_shares, both, leading_features, designed.bounds)
     return SimulatorAnalyses(
         {"sobol_indices": of_shares, "slopes": of_slopes, "feature_parameter_correlations": both}, [section]
     )
 
 
-def _analyse_response_curves(
-    curves: pd.DataFrame, base: pd.DataFrame, names: list[str], leading_features: Sequence[str], run: StudyContext
-) -> SimulatorAnalyses:
-    """Compute response curves of features and models along the axes, and their breakpoints."""
-    settings = run.settings
-    steps = _measure_located(curves, "response_curves", base, run)
+def _analyse_response_curves(study: StudyData, curves: pd.DataFrame) -> SimulatorAnalyses:
+    """Compute response curves of features and models along all axes, and the breakpoints of these curves."""
+    settings, base, names = study.settings, study.base, study.names
+    steps = _measure_located(study, curves, "response_curves")
     axes = {name: axis for name, axis in PROTOCOL_AXES.items() if name in set(curves["kind"])}
 
     def step(axis: str, turn: int) -> float:
-        """Return the value of the given step (`turn` counts from 1) of an axis."""
+        """Return the value of a step of an axis; `turn` is the number of the step, counted from 1."""
         return axes[axis].steps[turn - 1]
 
-    with run.execution.timer.stage("feature response curves"):
+    with study.run.execution.timer.stage("feature response curves"):
         chance = {"replicates": settings.replicates, "seed": settings.seed}
         of_features = response_curve_statistics.compute_feature_curves(base, steps, names, step, **chance)
     of_models = response_curve_statistics.compute_model_curves(
-        evaluate_response_curves(base, steps, names, settings, run.execution), step
+        evaluate_response_curves(base, steps, names, settings, study.run.execution), step
     )
     places = breakpoints.find_breakpoints(of_features, of_models, axes, settings.difference)
     whole = concatenate_tables([of_features.table, of_models])
     tables = {f"curve_{name}": whole[whole["axis"] == name].reset_index(drop=True) for name in axes}
     knees, task = int(curves["knee"].nunique()), select_contrast(curves["grade"])
+    leading_features = select_leading_features(study.tables["importance"], settings)
     section = make_response_curves_section(tables, places, axes, leading_features, knees, task)
     return SimulatorAnalyses(tables | {"breakpoints": places}, [section])
 
 
 def _count_subjects(predictor_table: pd.DataFrame) -> pd.Series:
-    """Count the subjects of each pair of grades, by the pair's label such as "0 vs 2"."""
+    """Count the subjects of each pair of grades; the index is the label of the pair, such as "0 vs 2"."""
     of_grade = predictor_table.groupby("grade")["subject"].nunique()
     first, *others = sorted(of_grade.index)
     return pd.Series({f"{first} vs {grade}": int(of_grade[first] + of_grade[grade]) for grade in others})

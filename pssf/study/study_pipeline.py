@@ -1,4 +1,4 @@
-"""Run all stages of a study in order; the only module of the study that writes files, through `pssf.io`."""
+"""Run all stages of a study in order and write its result files through `pssf.io`."""
 
 import platform
 from dataclasses import asdict, replace
@@ -21,17 +21,17 @@ from .learn.models.final_models import refit_models
 from .learn.models.model_file import MODEL_SUFFIX, pack_model
 from .learn.training import train_all_splits
 from .libraries import XGBOOST
-from .measurement import StudyContext, check_manifest, measure_features
+from .measurement import check_manifest, measure_features
 from .prediction.patient_test import (
     MeasurementContext,
     check_films,
     evaluate_on_films,
     list_training_protocols,
 )
-from .predictions import SplitOutcome, concatenate_tables
-from .report.figure_gallery import make_gallery
-from .report.patient_figures import make_film_pictures
-from .report.report_page import Findings, Picture, render_page
+from .report.figures.figure_gallery import make_gallery
+from .report.figures.patient_figures import make_film_pictures
+from .report.report_elements import Picture
+from .report.report_page import Findings, render_page
 from .report.report_sections import make_segmentation_section
 from .report.reporting_checklist import fill_checklist
 from .report.run_cost import summarise_cost
@@ -42,7 +42,6 @@ from .statistics.analyses.knee_parameters import (
     add_sex_indicator,
     extract_knee_parameters,
     summarise_composition,
-    summarise_morphology,
 )
 from .statistics.analyses.leakage_checks import find_leakage_notes, find_leakage_warnings
 from .statistics.features import localisation_error
@@ -51,12 +50,12 @@ from .statistics.features.dimensions import count_dimensions, count_tuned_values
 from .statistics.features.feature_importance import sum_by_family
 from .statistics.features.reliability import count_stable_features, list_protocols
 from .statistics.result_tables import (
-    Tables,
     build_feature_tables,
     build_model_tables,
     build_truth_tables,
 )
 from .statistics.scores.claims import evaluate_claims
+from .study_data import StudyContext, StudyData, Tables
 from .study_result import StudyResult
 
 _PACKAGES = (
@@ -86,7 +85,7 @@ def run_study(
     films : FilmSet, optional
         Patient radiographs used as an external test set.
     designed : DesignedManifests, optional
-        Manifests of radiographs acquired by design.
+        Manifests of response curves, Sobol samples and sensitivity pairs.
 
     Returns
     -------
@@ -96,80 +95,92 @@ def run_study(
     Raises
     ------
     InputError
-        An input cannot be used, or no split has grades 0 and 2 in training.
+        An input is not valid, or no split has grades 0 and 2 in training.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
-    settings, timer, designed = run.settings, run.execution.timer, require_designed(designed or DesignedManifests())
-    laws = resolve_sampling_laws(manifest := check_manifest(manifest, settings))
+    designed = require_designed(designed or DesignedManifests())
+    manifest = check_manifest(manifest, run.settings)
     if films is not None:
-        check_films(films, manifest, settings, run.templates)
-    table, names, work = measure_features(run, manifest, retest)
-    located = localisation_error.add_localisation_errors(add_sex_indicator(table[table["kind"] == ""]))
-    repeated = table[(table["kind"] != "") & (table["status"] == "found")]
-    usable = located[located["status"] == "found"]
-    _require_grades(usable, settings)
-    outcomes = train_all_splits(usable, names, settings, run.execution)
-    predictions = concatenate_tables(outcome.predictions for outcome in outcomes)
-    if predictions.empty:
-        located_in = f"the joint was located in {len(usable)} radiographs"
+        check_films(films, manifest, run.settings, run.templates)
+    study, work_seconds = _measure_cohort(run, manifest, retest, designed)
+    study = replace(study, outcomes=train_all_splits(study.usable, study.names, study.settings, run.execution))
+    if study.predictions.empty:
+        located_in = f"the joint was located in {len(study.usable)} radiographs"
         raise InputError(f"at least one split must have grades 0 and 2 in training, got none: {located_in}")
-    with timer.stage("intervals and differences"):
-        tables = build_model_tables(outcomes, settings)
-    with timer.stage("reliability and figures"):
-        tables = build_feature_tables(located, repeated, names, run.tables.radiomics.tags, settings) | tables
-        sampled_from = None if laws is None else laws.grades
-        tables["morphology"] = summarise_morphology(extract_knee_parameters(manifest), sampled_from)
-        tables |= build_truth_tables(manifest, usable, names, predictions, tables["subjects"], settings)
-        pictures = make_gallery(located, run.load_pixels, settings, predictions, tables)
-    with timer.stage("claims"):
-        tables |= _build_claim_tables(outcomes, usable, names, predictions, tables, settings)
-    tables["segmentation"] = evaluate_segmentation(repeated, retest, run)
-    with timer.stage("models refitted"):
-        models = _pack_models(run, usable, names, manifest)
-    answers, external = run_simulator_analyses(run, manifest, usable, names, tables, designed, laws), None
-    tables, pictures = tables | answers.tables, pictures | answers.pictures()
+    study, pictures = _evaluate_models(study)
+    study = study.add_tables({"segmentation": evaluate_segmentation(study.repeated, retest, run)})
+    with run.execution.timer.stage("models refitted"):
+        models = _pack_models(study)
+    answers, external = run_simulator_analyses(study), None
+    study, pictures = study.add_tables(answers.tables), pictures | answers.pictures()
     if films is not None:
-        bench = MeasurementContext(run.templates, settings, run.out, run.execution, run.tables.radiomics)
-        external = evaluate_on_films(bench, films, manifest)
-        tables |= external.tables
+        bench = MeasurementContext(run.templates, run.settings, run.out, run.execution, run.tables.radiomics)
+        external = evaluate_on_films(bench, films, study.manifest)
+        study = study.add_tables(external.tables)
         models |= external.models
-        pictures |= make_film_pictures(external, settings)
-    findings = _collect_findings(run, located, names, tables, outcomes, pictures, work)
-    sections = [*make_segmentation_section(tables["segmentation"]), *answers.sections]
+        pictures |= make_film_pictures(external, run.settings)
+    findings = _collect_findings(study, pictures, work_seconds)
+    sections = [*make_segmentation_section(study.tables["segmentation"]), *answers.sections]
     findings = replace(findings, models=sorted(models), external=external, sections=sections)
-    return _write_results(run, findings, tables | {"predictions": predictions}, models)
+    return _write_results(run, findings, study.tables | {"predictions": study.predictions}, models)
 
 
-def _build_claim_tables(
-    outcomes: list[SplitOutcome],
-    usable: pd.DataFrame,
-    names: list[str],
-    predictions: pd.DataFrame,
-    tables: Tables,
-    settings: StudySettings,
-) -> Tables:
-    """Build the tables claims, dimensions and tuning."""
-    importances = concatenate_tables(outcome.importances for outcome in outcomes)
-    offered = concatenate_tables(outcome.selection_candidates for outcome in outcomes)
+def _measure_cohort(
+    run: StudyContext, manifest: pd.DataFrame, retest: pd.DataFrame | None, designed: DesignedManifests
+) -> tuple[StudyData, dict[str, float]]:
+    """Measure the features of cohort and repeat radiographs; return the study and the time of each step in s."""
+    table, names, work_seconds = measure_features(run, manifest, retest)
+    study = StudyData(
+        run=run,
+        manifest=manifest,
+        parameters=extract_knee_parameters(manifest),
+        located=localisation_error.add_localisation_errors(add_sex_indicator(table[table["kind"] == ""])),
+        repeated=table[(table["kind"] != "") & (table["status"] == "found")],
+        names=names,
+        laws=resolve_sampling_laws(manifest),
+        designed=designed,
+    )
+    _require_grades(study.usable, run.settings)
+    return study, work_seconds
+
+
+def _evaluate_models(study: StudyData) -> tuple[StudyData, dict[str, Picture]]:
+    """Add the tables of models, features, true parameters and claims; return the study and its figures."""
+    timer = study.run.execution.timer
+    with timer.stage("intervals and differences"):
+        models = build_model_tables(study.outcomes, study.settings)
+    with timer.stage("reliability and figures"):
+        study = study.add_tables(build_feature_tables(study) | models)
+        study = study.add_tables({"composition": summarise_composition(study.located)} | build_truth_tables(study))
+        pictures = make_gallery(study)
+    with timer.stage("claims"):
+        return study.add_tables(_build_claim_tables(study)), pictures
+
+
+def _build_claim_tables(study: StudyData) -> Tables:
+    """Build the tables ``claims``, ``dimensions`` and ``tuning``."""
+    usable, tables = study.usable, study.tables
+    importances, offered = study.stack("importances"), study.stack("selection_candidates")
     return {
-        "claims": evaluate_claims(usable, predictions, importances, offered, tables, settings),
-        "dimensions": count_dimensions(importances, offered, tables["subjects"], usable, len(names)),
-        "tuning": count_tuned_values(concatenate_tables(outcome.tuning for outcome in outcomes)),
+        "claims": evaluate_claims(usable, study.predictions, importances, offered, tables, study.settings),
+        "dimensions": count_dimensions(importances, offered, tables["subjects"], usable, len(study.names)),
+        "tuning": count_tuned_values(study.stack("tuning")),
     }
 
 
-def _pack_models(run: StudyContext, usable: pd.DataFrame, names: list[str], manifest: pd.DataFrame) -> dict[str, bytes]:
-    """Fit each model to all subjects and pack it as a file.
+def _pack_models(study: StudyData) -> dict[str, bytes]:
+    """Fit each model to all subjects and pack it as a model file.
 
-    Train under the reference protocol and, if there are several, under all protocols. Return bytes by model name.
+    Train on the reference protocol and, if there are several protocols, also on all protocols. Return bytes by model
+    name.
     """
-    settings, law = run.settings, run.tables.radiomics.localisation
-    protocols = list_protocols(usable, settings.reference)
+    settings, law = study.settings, study.run.tables.radiomics.localisation
+    protocols = list_protocols(study.usable, settings.reference)
     sets = {settings.reference: protocols[:1]} | ({"all": protocols} if len(protocols) > 1 else {})
-    learnt = {protocol.protocol: protocol for protocol in list_training_protocols(manifest)}
+    learnt = {protocol.protocol: protocol for protocol in list_training_protocols(study.manifest)}
     pixel_mm = learnt[settings.reference].pixel_mm
-    templates = [crop_template(template, settings.region_px * pixel_mm, law) for template in run.templates]
+    templates = [crop_template(template, settings.region_px * pixel_mm, law) for template in study.run.templates]
     return {
         kept.name: pack_model(
             kept,
@@ -184,7 +195,7 @@ def _pack_models(run: StudyContext, usable: pd.DataFrame, names: list[str], mani
             trained_on=tuple(learnt[protocol] for protocol in kept.trained_on),
             seed=settings.seed,
         )
-        for kept in refit_models(usable, names, settings, sets)
+        for kept in refit_models(study.usable, study.names, settings, sets)
     }
 
 
@@ -199,17 +210,9 @@ def _require_grades(usable: pd.DataFrame, settings: StudySettings) -> None:
         )
 
 
-def _collect_findings(
-    run: StudyContext,
-    located: pd.DataFrame,
-    names: list[str],
-    tables: Tables,
-    outcomes: list[SplitOutcome],
-    pictures: dict[str, Picture],
-    work_seconds: dict[str, float],
-) -> Findings:
-    """Collect everything that the report shows."""
-    usable, settings = located[located["status"] == "found"], run.settings
+def _collect_findings(study: StudyData, pictures: dict[str, Picture], work_seconds: dict[str, float]) -> Findings:
+    """Collect all data shown in the report."""
+    run, located, usable, tables, settings = study.run, study.located, study.usable, study.tables, study.settings
     keys = ["model", "selection", "feature"]
     importance = tables["importance"].merge(tables["permutation"][[*keys, "drop"]], on=keys, how="left")
     shown = importance[importance["selection"] == settings.selections[0]]
@@ -218,8 +221,8 @@ def _collect_findings(
     tested = within["test_subjects"]
     packages = (*_PACKAGES, *BACKENDS[settings.backend].libraries)
     return Findings(
-        counts=counts | {"regions refused": len(located) - len(usable)},
-        composition=summarise_composition(located),
+        counts=counts | {"regions rejected": len(located) - len(usable)},
+        composition=tables["composition"],
         warnings=find_leakage_warnings(located),
         notes=find_leakage_notes(located),
         localisation=tables["localisation"],
@@ -231,11 +234,11 @@ def _collect_findings(
         calibration=tables["calibration"],
         families=sum_by_family(shown).join(sum_by_family(shown, "drop").add_suffix(" drop")),
         stable_counts_by_split=[
-            outcome.stable_feature_count for outcome in outcomes if outcome.stable_feature_count is not None
+            outcome.stable_feature_count for outcome in study.outcomes if outcome.stable_feature_count is not None
         ],
         stable_counts=count_stable_features(tables["reliability"]),
         leading=shown.groupby("model", sort=False).head(5),
-        degenerate=[name for name in names if is_degenerate(usable[name].to_numpy())],
+        degenerate=[name for name in study.names if is_degenerate(usable[name].to_numpy())],
         pictures=pictures,
         settings=asdict(settings),
         processing=describe_processing(settings.region_px, settings.bins, settings.families),
@@ -243,7 +246,7 @@ def _collect_findings(
         cost=summarise_cost(run.execution.timer),
         work_seconds=work_seconds,
         workers=run.execution.workers,
-        features=len(names),
+        features=len(study.names),
         test_subjects=(int(tested.min()), int(tested.max())),
         test_rarest=int(within["test_rarest"].min()),
     )
@@ -252,7 +255,7 @@ def _collect_findings(
 def _write_results(run: StudyContext, findings: Findings, tables: Tables, files: dict[str, bytes]) -> StudyResult:
     """Write tables, figures, models, JSON files and the report.
 
-    Two runs with the same cohort and settings differ only in their times.
+    The files of two runs with the same cohort and settings differ only in run times.
     """
     out, pictures = run.out, {}
     for name, picture in findings.pictures.items():

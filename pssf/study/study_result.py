@@ -10,18 +10,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyResult:
-    """Hold the paths of all written files and the tables behind the report.
+    """Paths of all written files and main tables of a study.
 
     Attributes
     ----------
     report : Path
         Path of ``report.html``.
     pictures : dict of str to Path
-        PNG file of each figure, by the name of the figure.
+        Path of the PNG file of each figure, by the name of the figure.
     tables : dict of str to Path
-        CSV file of each table, by the name of the table.
+        Path of the CSV file of each table, by the name of the table.
     models : dict of str to Path
-        skops file of each model trained on all subjects, by the name of the model; see `learn.models.model_file`.
+        Path of the skops file of each model trained on all subjects, by the name of the model; see
+        `learn.models.model_file`.
     scores : DataFrame
         One row per arm: mean, spread and 95 % interval of AUC, balanced accuracy and macro F1.
     differences : DataFrame
@@ -33,7 +34,7 @@ class StudyResult:
     seconds : dict of str to float
         Wall time of each stage in s, including stages before the study.
     origin : str
-        "this run", or "an earlier run" if that run had the same inputs and its files were reused.
+        Origin of the results: "this run", or "an earlier run" with the same inputs, whose files were reused.
     """
 
     report: Path

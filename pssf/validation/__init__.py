@@ -1,46 +1,44 @@
-"""Validation: numerical error and run time measured on this machine, and comparisons with references.
+"""Validation: numerical error and run time on this machine, and comparison with reference values.
 
-:func:`run_validation` measures the tables that are named and writes one CSV file per table.
+:func:`run_validation` measures the requested tables and writes one CSV file per table.
 
 Ray casting
-    - ``engines``: run time, memory and error by engine, number of triangles, number of pixels and precision.
-    - ``growth``: growth of the run time with pixels and with triangles, computed from ``engines``.
+    - ``engines``: run time, memory and error by engine, number of triangles, number of pixels and float precision.
+    - ``growth``: growth of run time with the number of pixels and of triangles, computed from ``engines``.
     - ``nested``: run time and memory for five nested spheroids.
-    - ``agreement``: difference between both engines on random knees from random directions.
-    - ``tessellation``: error of the bone outlines by number of triangles.
+    - ``agreement``: difference between the two engines for random knees and random beam directions.
+    - ``tessellation``: error of the projected bone outlines by number of triangles.
     - ``gvxr``: path lengths and run time compared with gVirtualXray.
 Imaging
-    - ``stages``: run time of each stage of ``simulate``, from the first run after installation to a warm run.
+    - ``stages``: run time of each stage of ``simulate`` in the first run after installation and in later runs.
     - ``chain``: run time, fraction of the total and error of each stage of ``simulate``.
-    - ``spectrum``: error and run time by number of energies of the reduced spectrum.
-    - ``focal_spot``: focal-spot blur compared with rays from many points of the spot.
+    - ``spectrum``: error and run time of the attenuation by number of energies of the reduced spectrum.
+    - ``focal_spot``: focal-spot blur compared with ray casting from many points of the focal spot.
     - ``physics``: spectrum, attenuation, primary and scattered signal compared with reference values.
-    - ``monte_carlo``: scatter Monte Carlo compared with an independent Monte Carlo.
-    - ``scatter``: scatter kernel compared with the Monte Carlo.
-    - ``view_scatter``: scatter kernel compared with the Monte Carlo in each view.
+    - ``monte_carlo``: Monte Carlo scatter code compared with independent Monte Carlo code.
+    - ``scatter``: scatter kernel compared with the Monte Carlo simulation.
+    - ``view_scatter``: scatter kernel compared with the Monte Carlo simulation in each view.
     - ``views``: effects of beam angle and leg rotation compared with published values.
-    - ``criteria``: criteria of positioning guides measured on simulated knees.
+    - ``criteria``: criteria of radiographic positioning guides, measured on simulated knees.
 Knees
-    - ``builds``: number of random knees that can be built, and the errors of their joint space width.
-    - ``knees``: bone sizes compared with published sizes, and errors of the labels.
+    - ``builds``: number of random knees that can be built, and error of their joint space width.
+    - ``knees``: bone sizes compared with published sizes, and errors of the knee labels.
     - ``texture_steps``: error of the trabecular density integral by step length.
-    - ``texture_trace``: run time of the trabecular density integral within a ray trace.
+    - ``texture_trace``: fraction of the ray-casting time that the trabecular density integral takes.
     - ``texture``: trabecular texture of radiographs compared with published values of patients.
 Study methods
-    - ``localisation``: rate at which the joint is localised on valid and on deliberately faulty radiographs.
-    - ``localisation_limits``: localisation limits that follow from these simulations.
+    - ``localisation``: success rate of joint localisation on valid and on deliberately faulty radiographs.
+    - ``localisation_limits``: localisation limits derived from the simulations of ``localisation``.
     - ``coverage``: coverage of the confidence intervals of the study.
-    - ``refutation``: claims of the study on cohorts with random labels.
-    - ``ablation``: run time of the study without each of its parts.
+    - ``refutation``: verdicts on the claims of the study for cohorts with random labels.
+    - ``ablation``: run time of the study if one step is omitted, for each step.
     - ``backends``: features of MIRP compared with features of PyRadiomics.
-Page
-    - ``latency``: delay between a slider of ``pssf explore`` and its picture.
 
 Notes
 -----
-``DEFAULT_TABLES`` are measured by default. ``OPTIONAL_TABLES`` are measured only when they are named.
-``coverage``, ``refutation``, ``ablation`` and ``backends`` need the extra ``study``, as does the figure of
-``engines``; ``latency`` needs the extra ``explore``. ``backends`` and ``gvxr`` need the dependency group ``peers``.
+``DEFAULT_TABLES`` are measured by default. ``OPTIONAL_TABLES`` are measured only on request.
+``coverage``, ``refutation``, ``ablation``, ``backends`` and the figure of ``engines`` need the optional dependencies
+``study``. ``backends`` and ``gvxr`` need the dependency group ``peers``.
 """
 
 import os
@@ -52,10 +50,8 @@ from pathlib import Path
 from typing import Any
 
 from ..core.checks import require_choice
-from ..explore.page_latency import measure_latency
 from ..io.atomic_write import make_folder, write_bytes
 from ..io.cohort_records import write_csv, write_json
-from ..io.readme_tables import open_checkout
 from ..simulation import collect_versions
 from .imaging.focal_spot_error import measure_focal_spot_models
 from .imaging.monte_carlo_reference import compare_monte_carlo_with_reference
@@ -80,15 +76,15 @@ from .raycasting.raycast_engines import (
 from .raycasting.tessellation_error import measure_tessellation_error
 from .study_methods.localisation_rates import derive_localisation_limits, measure_localisation
 
-# Tables that measure memory come first: a new process inherits the peak memory of the process that starts it.
+# Tables that measure memory are first, because a new process inherits the peak memory of its parent process.
 DEFAULT_TABLES = (
     "engines", "growth", "nested", "stages", "chain", "agreement", "spectrum", "focal_spot", "physics",
     "monte_carlo", "scatter", "tessellation", "texture_steps", "texture_trace", "texture", "builds", "knees", "views",
     "view_scatter", "criteria",
 )  # fmt: skip
-# These tables are measured only when named: they take minutes and concern the study, or need another package.
+# These tables are measured only on request, because they take minutes or need another package.
 OPTIONAL_TABLES = (
-    "localisation", "localisation_limits", "coverage", "refutation", "ablation", "backends", "gvxr", "latency",
+    "localisation", "localisation_limits", "coverage", "refutation", "ablation", "backends", "gvxr",
 )  # fmt: skip
 
 
@@ -98,10 +94,9 @@ def run_validation(
     workers: int = 2,
     tables: Collection[str] = DEFAULT_TABLES,
     knees: int = 30,
-    readme: Path | None = None,
     progress: Callable[[str], None] = lambda line: None,
 ) -> list[Path]:
-    """Measure the named tables and write each as CSV, with a description of the machine and a figure.
+    """Measure the requested tables and write a CSV file per table, a description of the machine, and a figure.
 
     Parameters
     ----------
@@ -113,24 +108,21 @@ def run_validation(
         Names of tables from ``DEFAULT_TABLES`` or ``OPTIONAL_TABLES``.
     knees : int, default 30
         Number of knees sampled for each table that measures random knees.
-    readme : Path or None, default None
-        Source checkout whose READMEs receive the tables; None leaves READMEs unchanged.
     progress : callable
-        Called with a line of text before each measurement.
+        Function called with a line of text before each measurement.
 
     Returns
     -------
     list of Path
-        Paths of all files that were written.
+        Paths of all written files.
 
     Raises
     ------
     InputError
-        If a table is unknown, `readme` is not a source checkout, or a file cannot be written.
+        A table is unknown, or a file cannot be written.
     """
     for name in tables:
         require_choice("table", name, (*DEFAULT_TABLES, *OPTIONAL_TABLES))
-    checkout = open_checkout(readme, tables, knees=knees)
     make_folder(out)
     engines: list[Row] = []
     if {"engines", "growth"} & set(tables):
@@ -139,10 +131,8 @@ def run_validation(
     jobs, paths = _make_table_jobs(engines, knees, workers, progress), []
     for name in (name for name in (*DEFAULT_TABLES, *OPTIONAL_TABLES) if name in tables):
         progress(name)
-        rows = jobs[name]()
         paths.append(out / f"{name}.csv")
-        write_csv(paths[-1], rows)
-        paths += checkout.update_tables({name: rows})
+        write_csv(paths[-1], jobs[name]())
     paths.append(out / "machine.json")
     write_json(paths[-1], _describe_machine())
     if engines and find_spec("matplotlib"):
@@ -150,14 +140,13 @@ def run_validation(
 
         paths.append(out / "engines.png")
         write_bytes(paths[-1], plot_error_against_time(engines))
-        paths += checkout.update_tables({}, paths[-1:])
     return paths
 
 
 def _make_table_jobs(
     engine_results: list[Row], knees: int, workers: int, progress: Callable[[str], None]
 ) -> dict[str, Callable[[], list[Row]]]:
-    """Map each table name to a function that measures its rows."""
+    """Make a dictionary from table name to the function that measures the table rows."""
     return {
         "engines": lambda: engine_results,
         "growth": lambda: compute_growth_exponents(engine_results),
@@ -186,7 +175,6 @@ def _make_table_jobs(
         "ablation": lambda: _import_study_module("study_ablation").measure_ablations(workers),
         "backends": lambda: _import_study_module("backend_agreement").compare_backends(),
         "gvxr": lambda: compare_with_gvxr(workers),
-        "latency": measure_latency,
     }
 
 
@@ -196,7 +184,7 @@ def _describe_machine() -> dict[str, str | int | None]:
 
 
 def _import_study_module(name: str) -> Any:
-    """Import a module of this folder that needs the extra ``study``."""
+    """Import a module of ``study_methods`` that needs the optional dependencies ``study``."""
     from ..study import require_extra
 
     require_extra()

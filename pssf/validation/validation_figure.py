@@ -12,8 +12,8 @@ _COLOURS = {"embree": "#d1495b", "scanline": "#00798c"}
 def plot_error_against_time(engine_results: list[Row]) -> bytes:
     """Plot ray-casting error against run time, with the Pareto front.
 
-    The left panel shows tessellation and engine error together, the right panel the engine error alone. The detector
-    size is the largest in the results with at most 2048 x 2048 pixels.
+    The left panel shows tessellation and engine error combined, and the right panel the engine error. The detector size
+    is the largest size in the results that has at most 2048 x 2048 pixels.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def plot_error_against_time(engine_results: list[Row]) -> bytes:
 
 
 def find_pareto_front(points: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Select the points that no other point beats in both run time and error.
+    """Select the points for which no other point has both a shorter run time and a smaller error.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Detection of formulas that are probably alloy names, whose numbers are percent by mass and not atoms."""
+"""Detection of formulas that are probably alloy names, in which numbers mean percent by mass and not atoms."""
 
 from collections.abc import Collection, Mapping
 
@@ -14,19 +14,20 @@ _ALLOYED_NONMETALS = frozenset(("B", "C", "N", "Si"))
 _NONMETALS = _ALLOYED_NONMETALS | {
     *("H", "He", "O", "F", "Ne", "P", "S", "Cl", "Ar", "Ge", "As", "Se", "Br", "Kr", "Te", "I", "Xe", "At", "Rn")
 }
-# Tolerance, in percent by mass per element. A formula this close to a known alloy was meant as numbers of atoms.
+# Tolerance of the comparison with known alloys, in percent by mass per element. A formula whose atom numbers give the
+# composition of a known alloy within the tolerance is correct, and causes no warning.
 _COMPOSITION_TOLERANCE_PERCENT = 3.0
 
 
 def describe_alloy_misreading(name: str, tissues: Mapping[str, Tissue]) -> str | None:
-    """Explain how a formula is read and what was probably meant, if it resembles the name of an alloy.
+    """Explain how a formula is interpreted and what was probably meant, if it resembles an alloy name.
 
     Parameters
     ----------
     name : str
         Material, such as ``"Ti6Al4V@4.43"``.
     tissues : mapping of str to Tissue
-        Known tissues and metals, among which the intended material is searched.
+        Known tissues and metals, in which the intended material is searched.
 
     Returns
     -------
@@ -45,7 +46,7 @@ def describe_alloy_misreading(name: str, tissues: Mapping[str, Tissue]) -> str |
     if len(metals) < 2 or not counts.keys() - metals <= _ALLOYED_NONMETALS:
         return None
     known = _find_matching_metal(counts.keys(), tissues)
-    # Two metals without numbers are often a compound, such as NiTi.
+    # Two metals without numbers are often the formula of a compound, such as NiTi.
     if len(metals) == 2 and known is None and all(count == 1 for count in counts.values()):
         return None
     if known is not None and _has_same_composition(material, tissues[known]):
@@ -59,13 +60,13 @@ def describe_alloy_misreading(name: str, tissues: Mapping[str, Tissue]) -> str |
 
 
 def _count_atoms(formula: str) -> dict[str, float]:
-    """Count the atoms of each element of a formula, by symbol; ValueError is raised for what is no formula."""
+    """Count the atoms of each element in a formula, by symbol; raise ValueError for an invalid formula."""
     parsed = xraylib.CompoundParser(formula)
     return {_element_symbol(z): float(n) for z, n in zip(parsed["Elements"], parsed["nAtoms"], strict=True)}
 
 
 def _find_matching_metal(symbols: Collection[str], tissues: Mapping[str, Tissue]) -> str | None:
-    """Find the metal of the table that contains all of the elements, if its main element is among them."""
+    """Find a metal in the table that contains all given metals and whose main element is among them."""
     for name, tissue in tissues.items():
         parts = tissue.composition or {}
         main = max(parts, key=lambda symbol: parts[symbol], default="")
@@ -75,7 +76,7 @@ def _find_matching_metal(symbols: Collection[str], tissues: Mapping[str, Tissue]
 
 
 def _has_same_composition(material: Material, tissue: Tissue) -> bool:
-    """Check whether a material has the composition of a metal of the table, within the tolerance."""
+    """Check whether a material has the composition of a metal in the table, within the tolerance."""
     held = {_element_symbol(z): 100 * part for z, part in material.elements}
     parts = tissue.composition or {}
     return all(
@@ -85,7 +86,7 @@ def _has_same_composition(material: Material, tissue: Tissue) -> bool:
 
 
 def _format_composition(tissue: Tissue) -> str:
-    """Write the composition of a metal as text, in percent by mass."""
+    """Format the composition of a metal as text, in percent by mass."""
     return ", ".join(f"{symbol} {percent:g}" for symbol, percent in (tissue.composition or {}).items()) + " % by mass"
 
 

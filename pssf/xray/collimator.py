@@ -1,9 +1,9 @@
-"""Collimator: the irradiated field, and the penumbra at its edges.
+"""Collimator: the irradiated field and the penumbra at the edges of the field.
 
-The irradiated field is the collimated field, and never more than the detector. An open collimator covers the detector
-to its edge, like the automatic collimation of a real system (IEC 60601-1-3; 21 CFR 1020.31 allows 3 % of the
-source-image distance). The primary signal, the scatter kernel and the Monte Carlo share this definition, so that a
-smaller detector has less scatter.
+The irradiated field is the collimated field, limited to the detector. An open collimator irradiates the whole detector,
+like the automatic collimation of a real system (IEC 60601-1-3; 21 CFR 1020.31 allows a deviation of 3 % of the
+source-image distance). The primary signal, the scatter kernel and the Monte Carlo simulation use the same irradiated
+field. A smaller detector therefore has less scatter.
 """
 
 import numpy as np
@@ -18,7 +18,7 @@ _SOURCE_TO_COLLIMATOR_MM = 300.0
 
 
 def is_collimated(protocol: Protocol) -> bool:
-    """Check whether collimator leaves are in the beam.
+    """Check whether collimator leaves limit the field.
 
     Parameters
     ----------
@@ -34,12 +34,12 @@ def is_collimated(protocol: Protocol) -> bool:
 
 
 def penumbra_mm(protocol: Protocol) -> float:
-    """Compute the width of the penumbra of a collimator leaf on the detector.
+    """Compute the width of the penumbra of the collimator on the detector.
 
     Parameters
     ----------
     protocol : Protocol
-        Technique and geometry; the size of the focal spot makes the penumbra.
+        Protocol with the focal spot size and the source-detector distance.
 
     Returns
     -------
@@ -50,10 +50,10 @@ def penumbra_mm(protocol: Protocol) -> float:
 
 
 def compute_collimator_transmission(technique: Technique) -> NDArray[np.float32]:
-    """Compute the fraction of the focal spot that each pixel sees between the leaves.
+    """Compute the fraction of the focal spot that is visible from each pixel.
 
-    The leaves are opaque. At the edge of the field, a pixel sees half of the focal spot. The fraction falls linearly
-    across the penumbra.
+    The collimator leaves are opaque. At the edge of the field, half of the focal spot is visible. The fraction
+    decreases linearly across the penumbra.
 
     Parameters
     ----------
@@ -70,14 +70,14 @@ def compute_collimator_transmission(technique: Technique) -> NDArray[np.float32]
 
 
 def compute_transmission_factors(technique: Technique, step: int) -> tuple[Array, Array]:
-    """Compute the visible fraction of the focal spot for rows and for columns of cells of pixels.
+    """Compute the visible fraction of the focal spot along rows and along columns, for square cells of pixels.
 
     Parameters
     ----------
     technique : Technique
         Resolved protocol.
     step : int
-        Pixels along the side of a cell.
+        Number of pixels along the side of a cell.
 
     Returns
     -------
@@ -92,7 +92,7 @@ def compute_transmission_factors(technique: Technique, step: int) -> tuple[Array
     for count, wide_mm in ((view.rows, protocol.field_height_mm), (view.cols, protocol.field_width_mm)):
         places = np.minimum((np.arange(-(-count // step)) + 0.5) * step - 0.5, count - 1)
         from_edge = wide_mm / 2 - np.abs(places - (count - 1) / 2) * view.pixel_mm
-        # A point source casts a sharp shadow, but the edge is at least a pixel wide.
+        # The edge of the shadow is at least one pixel wide, even for a point source.
         share = np.clip(from_edge / max(penumbra, view.pixel_mm) + 0.5, 0.0, 1.0)
         shares.append(share if wide_mm > 0 else np.ones(len(places)))
     return shares[0], shares[1]
@@ -109,7 +109,7 @@ def field_half_size_mm(technique: Technique) -> tuple[float, float]:
     Returns
     -------
     half_width_mm, half_height_mm : float
-        Half sizes on the detector, in mm: of the collimated field, or of the detector if that is smaller.
+        Half the width and half the height on the detector, in mm, of the collimated field or of a smaller detector.
     """
     protocol, view = technique.protocol, technique.view
     sizes = (

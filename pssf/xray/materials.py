@@ -18,11 +18,11 @@ from ..data.anatomy.tissue_table import Tissue
 
 # Centimetres per millimetre.
 _CM_PER_MM = 0.1
-# Allowed form of a material name, for error messages.
+# Description of valid material names, for error messages.
 _FORMULA_HINT = "a formula and a density in g/cm3, such as Ti@4.51, or percent by mass, such as Ti=90,Al=6,V=4@4.43"
-# Tolerance of the sum of percentages by mass around 100; they are then normalised to 100.
+# Allowed deviation from 100 of the sum of percentages by mass, which are then normalised.
 _PERCENT_SUM_TOLERANCE = 1.0
-# Atomic number of californium, the last element with cross sections in xraylib.
+# Atomic number of californium, the heaviest element with cross sections in xraylib.
 _MAX_ATOMIC_NUMBER = 98
 
 
@@ -47,9 +47,9 @@ def resolve_material(name: str, tissues: Mapping[str, Tissue]) -> Material:
     Parameters
     ----------
     name : str
-        One of these: a tissue or metal of the table; a compound of the NIST list, such as ``"Gypsum"``; or
-        ``"FORMULA@DENSITY"`` in g/cm3, such as ``"Ti@4.51"``. A formula counts atoms. ``"Ti=90,Al=6,V=4@4.43"`` states
-        percent by mass, the usual way for alloys. A NIST name may have its own density, such as
+        A tissue or metal of the table, a compound of the NIST list such as ``"Gypsum"``, or ``"FORMULA@DENSITY"`` in
+        g/cm3 such as ``"Ti@4.51"``. Numbers in a formula are numbers of atoms. Alloys are given in percent by mass,
+        such as ``"Ti=90,Al=6,V=4@4.43"``. A NIST name may be followed by another density, such as
         ``"Polyethylene@0.94"``.
     tissues : mapping of str to Tissue
         Known tissues and metals.
@@ -62,7 +62,7 @@ def resolve_material(name: str, tissues: Mapping[str, Tissue]) -> Material:
     Raises
     ------
     InputError
-        If the name is none of these.
+        If the name has none of these forms.
     """
     if "@" in name or name in _nist_compound_names():
         return parse_compound(name)
@@ -81,12 +81,12 @@ def resolve_material(name: str, tissues: Mapping[str, Tissue]) -> Material:
 
 
 def parse_compound(name: str) -> Material:
-    """Parse a compound of the NIST list, or ``"FORMULA@DENSITY"``, by atoms or by mass.
+    """Parse a compound of the NIST list, or a formula or alloy with a density.
 
     Parameters
     ----------
     name : str
-        NIST name, with or without a density of its own, or formula and density in g/cm3.
+        NIST name with or without a density, or formula or composition in percent by mass with a density in g/cm3.
 
     Returns
     -------
@@ -96,7 +96,7 @@ def parse_compound(name: str) -> Material:
     Raises
     ------
     InputError
-        If the name is neither, or names an element beyond californium.
+        If the name has neither form, or contains an element heavier than californium.
     """
     formula = name.partition("@")[0]
     if formula in _nist_compound_names():
@@ -119,7 +119,7 @@ def parse_compound(name: str) -> Material:
 
 
 def attenuation_per_mm(material: Material, energies_kev: Array) -> Array:
-    """Compute the linear attenuation coefficient, coherent scattering included.
+    """Compute the linear attenuation coefficient, including coherent scattering.
 
     Parameters
     ----------
@@ -131,18 +131,18 @@ def attenuation_per_mm(material: Material, energies_kev: Array) -> Array:
     Returns
     -------
     (bins,) float64 array
-        Attenuation in 1/mm.
+        Linear attenuation coefficients, in 1/mm.
     """
     return material.density_g_per_cm3 * _mass_attenuation_cm2_per_g(material.elements, energies_kev) * _CM_PER_MM
 
 
 def absorption_edges_kev(materials: Iterable[Material]) -> tuple[float, ...]:
-    """List the K and L absorption edges of all elements of some materials.
+    """List the K and L absorption edges of all elements in the given materials.
 
     Parameters
     ----------
     materials : iterable of Material
-        Materials whose elements count.
+        Materials with their elements.
 
     Returns
     -------
@@ -154,7 +154,7 @@ def absorption_edges_kev(materials: Iterable[Material]) -> tuple[float, ...]:
 
 
 def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> Array:
-    """Compute the fraction of photons that interact in a layer of a compound, other than by coherent scattering.
+    """Compute the fraction of photons that interact in a layer of a compound, without coherent scattering.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> A
 
 @cache
 def _element_edges_kev(z: int) -> tuple[float, ...]:
-    """List the K and L edges of an element, in keV; light elements have no L edges in the tables of xraylib."""
+    """List the K and L edges of an element in keV; xraylib has no L edges for light elements."""
     energies = []
     for shell in (xraylib.K_SHELL, xraylib.L1_SHELL, xraylib.L2_SHELL, xraylib.L3_SHELL):
         with suppress(ValueError):
@@ -206,7 +206,7 @@ def _mix_tissues(volumes: Mapping[str, float], tissues: Mapping[str, Tissue]) ->
 def _parse_mass_percents(listed: str) -> tuple[tuple[int, float], ...]:
     """Parse a list such as ``"Ti=90,Al=6,V=4"`` into atomic numbers and mass fractions.
 
-    Raises InputError for an unknown element, an element that occurs twice, or percentages that do not add up to 100.
+    Raises InputError for an unknown element, a repeated element, or percentages that do not add up to 100.
     """
     percents: dict[int, float] = {}
     for part in listed.split(","):

@@ -1,4 +1,4 @@
-"""Primary signal of every pixel by the Beer-Lambert law, over all energies at once."""
+"""Primary signal of every pixel by the Beer-Lambert law, summed over all energies."""
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -16,16 +16,17 @@ from .materials import attenuation_per_mm
 from .resolved_technique import Technique
 from .spectrum import Beam, compute_reduced_beam, heel_factor
 
-# Rows per band; each band is one task of the thread pool.
+# Number of rows per band; each band is one task of the thread pool.
 _BAND_ROWS = 128
-# Pixels of a row that are computed together, so that their exponents stay in the fastest cache.
+# Number of pixels in a row that are computed together; their exponents fit into the first-level cache.
 _BLOCK_COLS = 256
 
 
 class _EnergyNodes(NamedTuple):
-    """Attenuation per energy, and contributions of each energy to the sums of the open beam.
+    """Attenuation at each energy, and contribution of each energy to the open-beam signal.
 
-    `mu` is (materials, nodes) in 1/mm. `signal` and `square_signal` are (beams, nodes).
+    `mu` is (materials, nodes), in 1/mm. `signal` and `square_signal` are (beams, nodes): first and second moment of the
+    absorbed energy.
     """
 
     mu: Array
@@ -50,8 +51,8 @@ class Signal:
     kev : (rows, cols) float32 array
         Mean energy absorbed, in keV per pixel.
     photon_kev : (rows, cols) float32 array
-        Mean square over mean of the energy of an absorbed photon, in keV. This is the variance of the absorbed energy
-        over its mean.
+        Mean squared energy divided by mean energy of an absorbed photon, in keV. For Poisson statistics this is the
+        variance of the absorbed energy divided by its mean.
     """
 
     kev: NDArray[np.float32]
@@ -65,12 +66,12 @@ def transmit(
     workers: int = 2,
     view: View | None = None,
 ) -> Signal:
-    """Compute the primary signal of every pixel, without heel effect and collimator.
+    """Compute the primary signal of every pixel, without the heel effect and the collimator.
 
     Parameters
     ----------
     path_mm : mapping of str to (rows, cols) array
-        Path length per material, in mm. A material that is absent does not attenuate.
+        Path length per material, in mm. A missing material does not attenuate.
     beam : Beam
         Energies, photons and detector response.
     technique : Technique
@@ -78,12 +79,12 @@ def transmit(
     workers : int, default 2
         Number of threads; it does not change the result.
     view : View, optional
-        Source and detector, if the source is not the centre of the focal spot. By default that of the technique.
+        Source and detector, for a source at another point of the focal spot. By default the view of the technique.
 
     Returns
     -------
     Signal
-        Mean absorbed energy and its variance over mean, per pixel.
+        Mean absorbed energy per pixel, and its variance divided by its mean.
     """
     return _transmit_beams(path_mm, (beam,), technique, workers, view)[0]
 
@@ -94,7 +95,7 @@ def compute_primary(
     workers: int = 2,
     view: View | None = None,
 ) -> Signal:
-    """Compute the primary signal behind path lengths, heel effect and collimator included.
+    """Compute the primary signal for given path lengths, including heel effect and collimator.
 
     Parameters
     ----------
@@ -105,12 +106,12 @@ def compute_primary(
     workers : int, default 2
         Number of threads; it does not change the result.
     view : View, optional
-        Source and detector, if the source is not the centre of the focal spot. By default that of the technique.
+        Source and detector, for a source at another point of the focal spot. By default the view of the technique.
 
     Returns
     -------
     Signal
-        Mean absorbed energy and its variance over mean, per pixel.
+        Mean absorbed energy per pixel, and its variance divided by its mean.
     """
     return _compute_primaries(path_mm, (_compute_beam_behind(path_mm, technique),), technique, workers, view)[0]
 
@@ -121,9 +122,9 @@ def compute_primary_before_and_behind(
     transmit_grid: Callable[[Beam], Beam],
     workers: int = 2,
 ) -> tuple[Signal, Signal]:
-    """Compute the primary signal before and behind a filter that follows the limb, such as an anti-scatter grid.
+    """Compute the primary signal in front of and behind a filter after the limb, such as an anti-scatter grid.
 
-    Both sums use the same exponentials, which take nearly all of the time.
+    The two signals share the exponentials, which take nearly all of the run time.
 
     Parameters
     ----------
@@ -132,7 +133,7 @@ def compute_primary_before_and_behind(
     technique : Technique
         Resolved protocol.
     transmit_grid : callable
-        Function from the beam before the filter to the beam behind it.
+        Function that converts the beam in front of the filter to the beam behind it.
     workers : int, default 2
         Number of threads; it does not change the result.
 
@@ -149,14 +150,14 @@ def compute_primary_before_and_behind(
 
 
 def _compute_beam_behind(path_mm: Mapping[str, Any], technique: Technique) -> Beam:
-    """Compute the beam, reduced to the energies that path lengths (rows, cols) in mm need."""
+    """Compute the beam with few energies, sufficient for the maximum path length of each material."""
     return compute_reduced_beam(technique, {name: float(lengths.max()) for name, lengths in path_mm.items()})
 
 
 def _compute_primaries(
     path_mm: Mapping[str, Any], beams: Sequence[Beam], technique: Technique, workers: int, view: View | None = None
 ) -> list[Signal]:
-    """Compute the signals of beams with the same energies, heel effect and collimator included."""
+    """Compute the signals of beams with the same energies, including heel effect and collimator."""
     signals = _transmit_beams(path_mm, beams, technique, workers, view)
     for signal in signals:
         if technique.protocol.heel != "none":
@@ -169,7 +170,7 @@ def _compute_primaries(
 def _transmit_beams(
     path_mm: Mapping[str, Any], beams: Sequence[Beam], technique: Technique, workers: int, view: View | None
 ) -> list[Signal]:
-    """Compute the signals of beams with the same energies, without heel effect and collimator."""
+    """Compute the signals of beams with the same energies, without the heel effect and the collimator."""
     view, energies_kev = view or technique.view, beams[0].energies_kev
     mu = np.array([attenuation_per_mm(technique.material(name), energies_kev) for name in path_mm])
     mu = mu.reshape(-1, len(energies_kev))
@@ -180,7 +181,8 @@ def _transmit_beams(
 
     def band(start: int) -> None:
         stop = min(start + _BAND_ROWS, view.rows)
-        # Maps are copied band by band, because a copy of all maps of a large detector would double the memory.
+        # Path length maps are copied band by band, because a copy of whole maps would double the memory of a large
+        # detector.
         stack = np.empty((len(path_mm), stop - start, view.cols), np.float32)
         for part, lengths in zip(stack, path_mm.values(), strict=True):
             part[:] = lengths[start:stop]
@@ -200,7 +202,7 @@ def _transmit_band(
     kev: NDArray[np.float32],
     photon_kev: NDArray[np.float32],
 ) -> None:
-    """Fill the rows (beams, rows, cols) of a band that starts at row `first_row`."""
+    """Fill `kev` and `photon_kev` (beams, rows, cols) for a band of rows that starts at `first_row`."""
     mu, (materials, count), beams = nodes.mu, nodes.mu.shape, len(nodes.signal)
     passed, open_beams = np.empty(count), np.zeros((beams, 2))
     for beam in range(beams):
@@ -222,7 +224,8 @@ def _transmit_band(
             for n in range(width):
                 dx = rays.corner[0] + (left + n) * rays.pixel_mm - rays.source[0]
                 distance2 = dx * dx + depth * depth + dz * dz
-                # The photons per pixel follow the inverse-square law from 1 m and the cosine of the incidence angle.
+                # Photons per pixel follow the inverse-square law, relative to 1 m, and the cosine of the angle of
+                # incidence.
                 areas[n] = rays.pixel_mm * rays.pixel_mm * 1e6 / distance2 * depth / np.sqrt(distance2)
             for n in range(width):
                 limb = exponents[0, n] != 0.0

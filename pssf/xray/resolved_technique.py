@@ -1,4 +1,4 @@
-"""Resolved technique: a protocol with the table records that its names stand for."""
+"""Resolved technique: a protocol together with the detector, scatter kernel and tissues from the tables."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -16,20 +16,20 @@ from .materials import Material, resolve_material
 
 @dataclass(frozen=True, kw_only=True)
 class Technique:
-    """Everything that the imaging stages read.
+    """Protocol and tables that the imaging stages use.
 
-    It is made once from a protocol by `resolve_technique`, and then passed through all stages.
+    `resolve_technique` makes a Technique from a protocol once per radiograph; all stages receive it.
 
     Attributes
     ----------
     protocol : Protocol
         Technique, geometry and requested stages.
     detector : Detector
-        Record of the detector that the protocol names.
+        Properties of the protocol's detector.
     kernel : ScatterKernel
         Constants of the scatter kernel.
     tissues : mapping of str to Tissue
-        Tissues and metals that materials may be named after.
+        Tissues and metals that scenes may contain, by name.
     """
 
     protocol: Protocol
@@ -43,7 +43,7 @@ class Technique:
         return resolve_view(self.protocol)
 
     def material(self, name: str) -> Material:
-        """Resolve the name of a material in a scene.
+        """Look up the material with a given name.
 
         Parameters
         ----------
@@ -63,7 +63,7 @@ class Technique:
         return resolve_material(name, self.tissues)
 
     def replace_protocol(self, **changes: Any) -> "Technique":
-        """Replace the values of some fields of the protocol.
+        """Make a copy in which some fields of the protocol have new values.
 
         Parameters
         ----------
@@ -73,12 +73,12 @@ class Technique:
         Returns
         -------
         Technique
-            A copy with the changed protocol.
+            Copy with the changed protocol.
 
         Raises
         ------
         InputError
-            If a value is out of range, or names another detector.
+            If a value is out of range, or the detector is changed.
         """
         protocol = replace(self.protocol, **changes)
         if protocol.detector != self.protocol.detector:
@@ -90,7 +90,7 @@ class Technique:
 
 
 def resolve_technique(protocol: Protocol) -> Technique:
-    """Resolve the names in a protocol into table records.
+    """Look up the detector, scatter kernel and tissues of a protocol.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Beam of the tube: photons per mm2 and mAs at 1 m, by energy (SpekPy), and the response of the detector."""
+"""X-ray beam: photons per energy, per mm2 and mAs at 1 m (SpekPy), and the detector response."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -19,29 +19,30 @@ from .materials import (
 from .resolved_technique import Technique
 from .spectrum_quadrature import RELATIVE_TOLERANCE, fit_spectrum_quadrature
 
-# Source and libraries whose changes invalidate cached spectra.
+# Source file and libraries whose changes invalidate cached spectra.
 _CACHE_ORIGIN = CacheKey(sources=("xray/spectrum.py",), libraries=("spekpy", "numpy"))
-# Step to which longest paths are rounded up, in mm, so that similar scenes share a reduced beam.
+# Step to which maximum path lengths are rounded up, in mm, so that similar scenes share a reduced beam.
 _PATH_STEP_MM = 20.0
-# Width of the bins of a spectrum, in keV.
+# Width of the energy bins of a spectrum, in keV.
 _BIN_KEV = 0.5
-# Width of the bins if the scene has an absorption edge within the spectrum, in keV.
+# Width of the energy bins if the scene has an absorption edge within the spectrum, in keV.
 _FINE_KEV = 0.1
 # Photons per mm2 and mAs of a monochromatic beam at 1 m.
 _MONO_PHOTONS_PER_MM2_MAS = 1e6
-# Number of interpolation nodes of the heel effect along the anode-cathode axis.
+# Number of evenly spaced interpolation nodes of the heel effect along the anode-cathode axis.
 _HEEL_POINTS = 9
-# Fraction of the cut-off of the anode beyond which evenly spaced nodes fail, because the intensity falls too steeply.
-# Their error is 0.14 % here and 2.5 % at a fraction of 0.9. Nodes that are denser near the cut-off have an error of
-# 0.02 % at 0.9, and 0.06 % at 0.95 (6 and 12 deg, 70 kV).
+# Tangent of the field edge, as a fraction of the tangent of the anode angle (the cut-off), above which denser nodes
+# near the cut-off replace evenly spaced nodes. The error of evenly spaced nodes is 0.14 % at a fraction of 0.7 and 2.5
+# % at 0.9, because the intensity falls steeply. The error of denser nodes is 0.02 % at 0.9 and 0.06 % at 0.95 (6 and 12
+# deg, 70 kV).
 _NEAR_CUT_OFF = 0.7
-# Number of nodes that are denser near the cut-off.
+# Number of interpolation nodes if they are denser near the cut-off.
 _HEEL_POINTS_NEAR = 13
 
 
 @dataclass(frozen=True)
 class Beam:
-    """Beam at 1 m without an object, and the response of the detector to one photon.
+    """Beam at 1 m without an object, and the detector response to one photon.
 
     Attributes
     ----------
@@ -62,16 +63,15 @@ class Beam:
 
 
 def compute_beam(technique: Technique, materials: Iterable[Material] = ()) -> Beam:
-    """Compute the beam of a technique in bins of 0.5 keV, or in one bin if it is monochromatic.
+    """Compute the beam of a technique in bins of 0.5 keV, or in one bin for a monochromatic beam.
 
     Parameters
     ----------
     technique : Technique
         Resolved protocol.
     materials : iterable of Material, optional
-        Materials of the scene. If one of their K or L edges is within the spectrum, bins are 0.1 keV wide and end at
-        each edge, since a bin is attenuated as at its centre. The signal of the open beam stays that of bins of 0.5
-        keV.
+        Materials of the scene. If a K or L edge of a material is within the spectrum, bins are 0.1 keV wide and end at
+        each edge, because the attenuation is evaluated at bin centres. The open-beam signal does not change.
 
     Returns
     -------
@@ -97,23 +97,24 @@ def compute_beam(technique: Technique, materials: Iterable[Material] = ()) -> Be
 def compute_reduced_beam(
     technique: Technique, max_path_mm: Mapping[str, float], tolerance: float = RELATIVE_TOLERANCE
 ) -> Beam:
-    """Compute the beam of a technique, reduced to the few energies that a scene needs.
+    """Compute the beam of a technique with only as many energies as a scene needs.
 
     Parameters
     ----------
     technique : Technique
         Resolved protocol.
     max_path_mm : mapping of str to float
-        Longest path in each material, in mm.
+        Maximum path length in each material, in mm.
     tolerance : float, default 5e-4
-        Largest relative error of the signal behind any mixture of paths up to these, compared with bins of 0.5 keV.
+        Largest relative error of the signal behind any combination of path lengths up to `max_path_mm`, compared with
+        bins of 0.5 keV.
 
     Returns
     -------
     Beam
         Energies, photons and detector response.
     """
-    # Paths are rounded up in steps, so that similar scenes share a fit.
+    # Maximum path lengths are rounded up in steps, so that similar scenes share a fit.
     rounded = {
         name: float(_PATH_STEP_MM * np.ceil(most / _PATH_STEP_MM)) for name, most in max_path_mm.items() if most > 0
     }
@@ -124,7 +125,7 @@ def compute_reduced_beam(
 
 @lru_cache(maxsize=64)
 def _reduce_beam(technique: Technique, max_path_mm: tuple[tuple[str, float], ...], tolerance: float) -> Beam:
-    """Reduce the beam for the longest paths in mm of materials; the results are cached."""
+    """Reduce the beam to few energies for given maximum path lengths in mm per material; results are cached."""
     beam = compute_beam(technique, [technique.material(name) for name, _ in max_path_mm])
     photons, signal, square = beam.photons_per_mm2, beam.signal_kev, beam.square_kev2
     mu = np.array([attenuation_per_mm(technique.material(name), beam.energies_kev) for name, _ in max_path_mm])
@@ -135,7 +136,7 @@ def _reduce_beam(technique: Technique, max_path_mm: tuple[tuple[str, float], ...
 
 
 def heel_factor(technique: Technique) -> Array:
-    """Compute the heel effect: the open-beam signal of each row relative to the central ray.
+    """Compute the heel effect: the open-beam signal in each row relative to the central ray.
 
     Parameters
     ----------
@@ -145,11 +146,11 @@ def heel_factor(technique: Technique) -> Array:
     Returns
     -------
     (rows,) float64 array
-        Factor of the signal by self-absorption in the anode, without the inverse-square law.
+        Factor by which self-absorption in the anode changes the signal, without the inverse-square law.
 
     Notes
     -----
-    The factor is that of the signal in the detector. The beam is also about 0.5 keV harder towards the anode, which is
+    The factor applies to the detector signal. The beam is also about 0.5 keV harder towards the anode, which is
     neglected.
     """
     protocol = technique.protocol
@@ -158,7 +159,7 @@ def heel_factor(technique: Technique) -> Array:
     slopes = np.linspace(row[0], row[-1], _HEEL_POINTS)
     cut_off = np.tan(np.deg2rad(protocol.anode_angle_deg))
     if -row[0] > _NEAR_CUT_OFF * cut_off:
-        # Rows behind the collimator get the value of the outermost row in the field.
+        # Rows behind the collimator get the factor of the outermost row in the field.
         lit = min(-float(row[0]), protocol.field_edge_tangent)
         row = np.clip(row, -lit, lit)
         slopes = np.sort(sign * _slopes_near_cut_off(lit, float(cut_off)))
@@ -173,8 +174,8 @@ def heel_factor(technique: Technique) -> Array:
 def _slopes_near_cut_off(max_slope: float, cut_off_slope: float) -> Array:
     """Place interpolation nodes that are denser towards the cut-off of the anode.
 
-    Both arguments are tangents of angles from the central ray: of the field edge, and of the anode angle, which is
-    greater. Returns tangents (13,), from -max_slope towards the anode to max_slope.
+    `max_slope` is the tangent of the angle from the central ray to the field edge. `cut_off_slope` is the tangent of
+    the anode angle, which is greater. Returns tangents (13,), from -max_slope on the anode side to max_slope.
     """
     return np.asarray(
         np.geomspace(cut_off_slope - max_slope, cut_off_slope + max_slope, _HEEL_POINTS_NEAR) - cut_off_slope
@@ -182,9 +183,9 @@ def _slopes_near_cut_off(max_slope: float, cut_off_slope: float) -> Array:
 
 
 def _split_bins(energies_kev: Array, photons: Array, edges_kev: Sequence[float], bin_kev: float) -> tuple[Array, Array]:
-    """Split bins (bins,) at absorption edges into parts (parts,), each with its photons and its own centre.
+    """Split energy bins at absorption edges; return the centres and the photons of the new bins (parts,).
 
-    `energies_kev` are the bin centres in keV. Photons may have any unit.
+    `energies_kev` (bins,) are the bin centres in keV. `photons` (bins,) may have any unit.
     """
     low = energies_kev - bin_kev / 2
     ends = low + bin_kev
@@ -231,7 +232,7 @@ def tube_spectrum(
     """
     beam = (float(tube_kv), float(anode_angle_deg), float(filtration_mm_al), float(off_axis))
     name = "spectrum-" + "-".join(map(repr, beam if bin_kev == _BIN_KEV else (*beam, bin_kev)))
-    # SpekPy takes a second to import. It is imported only when a spectrum is not in the cache.
+    # SpekPy, which takes a second to import, is imported only when a spectrum is not in the cache.
     arrays = load_or_make_arrays(name, _CACHE_ORIGIN, partial(_compute_tube_spectrum, *beam, bin_kev))
     return arrays["energies_kev"], arrays["photons"]
 
@@ -239,7 +240,7 @@ def tube_spectrum(
 def _compute_tube_spectrum(
     tube_kv: float, anode_angle_deg: float, filtration_mm_al: float, off_axis: float, bin_kev: float
 ) -> Arrays:
-    """Compute a spectrum with SpekPy, in photons per mm2 and mAs at 1 m."""
+    """Compute a tube spectrum with SpekPy, in photons per mm2 and mAs at 1 m."""
     from spekpy import Spek
 
     source = Spek(kvp=tube_kv, th=anode_angle_deg, dk=bin_kev, mas=1.0, x=100.0 * off_axis, z=100.0)

@@ -1,7 +1,8 @@
-"""Reduction of a spectrum to a few energies, with a stated error.
+"""Reduction of a spectrum to a few energies, with a known error.
 
-The transmission of a scene is a sum of exponentials over the bins of the spectrum. A few of them, with weights of their
-own, give the same sum over a bounded range of thicknesses. This is a quadrature, fitted by non-negative least squares.
+The transmission of a scene is a sum of exponentials over the bins of the spectrum. For a limited range of thicknesses,
+a few bins with fitted weights give nearly the same sum. The weights of this quadrature are fitted by non-negative least
+squares.
 """
 
 import numpy as np
@@ -10,50 +11,50 @@ from scipy.optimize import nnls
 
 from ..core.checks import Array
 
-# Largest relative error on mixtures of materials that are not part of the fit.
+# Largest allowed relative error for mixtures of materials that are not part of the fit.
 RELATIVE_TOLERANCE = 5e-4
-# Smallest number of energies that is tried.
+# Smallest number of energies in the search.
 _FEWEST = 4
-# Largest number of energies that is tried.
+# Largest number of energies in the search.
 _MOST = 24
 # Number of random mixtures of materials for the fit.
 _FITTED = 300
 # Number of random mixtures of materials for the check of the error.
 _CHECKED = 1500
-# Fraction of the signal of the open beam below which a signal is neglected.
+# Fraction of the open-beam signal below which mixtures are not used in the fit or the check.
 _NEGLIGIBLE_SIGNAL = 1e-12
-# Steps by which energies are moved in the search, in bins.
+# Steps by which selected energies are moved during the search, in bins.
 _SEARCH_STEPS = (8, 4, 2, 1)
 
 
 def fit_spectrum_quadrature(
     weights: Array, square_weights: Array, mu_per_mm: Array, max_path_mm: Array, tolerance: float = RELATIVE_TOLERANCE
 ) -> tuple[NDArray[np.int64], Array, Array, float]:
-    """Select a few bins of a spectrum, and fit their weights.
+    """Select a few bins of a spectrum and fit their weights.
 
     Parameters
     ----------
     weights : (bins,) array, keV/mm2
-        Contribution of each bin to the signal of the open beam.
+        Contribution of each bin to the open-beam signal.
     square_weights : (bins,) array, keV2/mm2
-        Contribution of each bin to a second sum, that of squared energies; it is fitted on the same bins.
+        Contribution of each bin to the sum of squared energies in the open beam, which is fitted with the same bins.
     mu_per_mm : (materials, bins) array, 1/mm
         Linear attenuation coefficients.
     max_path_mm : (materials,) array, mm
-        Longest path in each material.
+        Maximum path length in each material.
     tolerance : float, default 5e-4
-        Largest relative error of the signal.
+        Largest allowed relative error of the signal.
 
     Returns
     -------
     bins : (nodes,) int64 array
-        Bins to keep. All bins are kept if no small number of them is enough.
+        Indices of the selected bins. All bins are selected if 24 bins do not reach the tolerance.
     weights : (nodes,) float64 array
         Weights of the signal, in keV/mm2.
     square_weights : (nodes,) float64 array
-        Weights of the second sum, in keV2/mm2.
+        Weights of the sum of squared energies, in keV2/mm2.
     error : float
-        Relative error that is left.
+        Largest relative error of the signal for the check mixtures.
     """
     rng = np.random.default_rng(1)
     fitted, checked = (
@@ -73,9 +74,9 @@ def fit_spectrum_quadrature(
 def _sample_bin_fractions(
     rng: np.random.Generator, count: int, weights: Array, mu_per_mm: Array, max_path_mm: Array
 ) -> Array:
-    """Compute the fraction of each bin in the signal behind random mixtures of materials, (mixtures, bins).
+    """Compute the contribution of each bin to the signal behind random mixtures of materials, (mixtures, bins).
 
-    Path lengths are from 0 to the longest one of each material.
+    Contributions are fractions of the signal of each mixture. Path lengths are from 0 to the maximum of each material.
     """
     mixtures = rng.random((count, len(max_path_mm))) * (rng.random((count, len(max_path_mm))) < 0.5) * max_path_mm
     mixtures[0], mixtures[1] = 0.0, max_path_mm
@@ -86,18 +87,18 @@ def _sample_bin_fractions(
 
 
 def _fit_weights(bin_fractions: Array, bins: NDArray[np.int64]) -> tuple[Array, float]:
-    """Fit factors of the selected bins that bring every sum of fractions closest to 1.
+    """Fit factors for the selected bins, so that the weighted contributions add up to 1 for every mixture.
 
-    Returns them and the largest error.
+    Returns the factors and the largest deviation from 1.
     """
     factors, _ = nnls(bin_fractions[:, bins], np.ones(len(bin_fractions)))
     return factors, float(np.abs(bin_fractions[:, bins] @ factors - 1).max())
 
 
 def _select_bins(bin_fractions: Array, weights: Array, count: int) -> NDArray[np.int64]:
-    """Select bins at equal steps of the cumulative square root of the signal, then move them to reduce the error.
+    """Select bins at equal steps of the cumulative square root of the weights, then move them to reduce the error.
 
-    Each bin is moved while that lowers the largest error.
+    A bin is moved only if the move reduces the largest error.
     """
     cumulated = np.cumsum(np.sqrt(weights))
     bins = np.unique(np.searchsorted(cumulated, (np.arange(count) + 0.5) / count * cumulated[-1]))

@@ -31,13 +31,13 @@ from .osteophyte_growth import BoneWithOsteophytes, grow_osteophytes
 
 # Distance from z = 0 at which shafts end, mm: outside the beam of every protocol, and inside the soft tissue.
 SHAFT_END_MM = 180.0
-# Additional length of a canal before it is deformed and cut, mm.
+# Additional length of a medullary canal before it is deformed and cut, mm.
 _CANAL_EXTRA_MM = 20.0
 # Distance between the rings of a canal, mm; with 48 points per ring, triangles are within 0.05 mm of the surface.
 _RING_MM = 5.0
 # Points per ring of a canal; trabeculae blur its edge, so a coarse mesh is sufficient.
 _AROUND = 48
-# Clearance between canal and cortex of mean thickness, mm, in addition to the variation of the cortex.
+# Clearance between the canal and a cortex of mean thickness, mm. The variation of cortical thickness is added to it.
 _CANAL_CLEARANCE_MM = 0.4
 
 
@@ -52,7 +52,7 @@ class Bone:
     inner : Manifold
         Surface of the trabecular bone.
     canal : Manifold or None
-        Medullary canal, filled with marrow. None if the bone has none.
+        Medullary canal, filled with marrow. None if the bone has no canal.
     """
 
     outer: Manifold
@@ -81,14 +81,14 @@ def space_ring_heights(low_mm: float, high_mm: float, step_mm: float) -> Array:
 
 
 def grow_femur_osteophytes(bone_parameters: BoneParameters, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOsteophytes:
-    """Add its osteophytes to the outer surface of the femur.
+    """Add the femoral osteophytes to the outer surface of the femur.
 
     Parameters
     ----------
     bone_parameters : BoneParameters
         Parameters of the bones of the knee.
     osteophytes : tuple of Osteophyte
-        All osteophytes of the knee; those of other bones are ignored.
+        All osteophytes of the knee; osteophytes of other bones are ignored.
 
     Returns
     -------
@@ -98,7 +98,7 @@ def grow_femur_osteophytes(bone_parameters: BoneParameters, osteophytes: tuple[O
     Raises
     ------
     InputError
-        One osteophyte hides the farthest point of another.
+        One osteophyte hides the farthest point of another osteophyte.
     """
     mean, margins = bone_parameters.template_femur, bone_parameters.shape.osteophytes
     return grow_osteophytes(
@@ -111,14 +111,14 @@ def grow_femur_osteophytes(bone_parameters: BoneParameters, osteophytes: tuple[O
 
 
 def grow_tibia_osteophytes(bone_parameters: BoneParameters, osteophytes: tuple[Osteophyte, ...]) -> BoneWithOsteophytes:
-    """Add its osteophytes to the outer surface of the tibia.
+    """Add the tibial osteophytes to the outer surface of the tibia.
 
     Parameters
     ----------
     bone_parameters : BoneParameters
         Parameters of the bones of the knee.
     osteophytes : tuple of Osteophyte
-        All osteophytes of the knee; those of other bones are ignored.
+        All osteophytes of the knee; osteophytes of other bones are ignored.
 
     Returns
     -------
@@ -128,7 +128,7 @@ def grow_tibia_osteophytes(bone_parameters: BoneParameters, osteophytes: tuple[O
     Raises
     ------
     InputError
-        One osteophyte hides the farthest point of another.
+        One osteophyte hides the farthest point of another osteophyte.
     """
     mean, margins = bone_parameters.template_tibia, bone_parameters.shape.osteophytes
     return grow_osteophytes(
@@ -141,14 +141,14 @@ def grow_tibia_osteophytes(bone_parameters: BoneParameters, osteophytes: tuple[O
 
 
 def prepare_template_bones(bone_parameters: BoneParameters) -> None:
-    """Build the template bones or read them from the cache, both at the same time.
+    """Build the template femur and tibia, or read them from the cache, in parallel.
 
     Parameters
     ----------
     bone_parameters : BoneParameters
         Parameters of the bones of the knee.
     """
-    # After an installation, the first knee needs seconds for each bone, so two threads build them in parallel.
+    # After an installation, each template bone takes seconds to build, so two threads build them in parallel.
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(TemplateBone.prepare, (bone_parameters.template_femur, bone_parameters.template_tibia)))
 
@@ -166,7 +166,7 @@ def compute_cortex_depths_mm(bone_parameters: BoneParameters) -> tuple[Array, Ar
     femur : (n,) float64 array
         Thickness at each vertex of the coarse surface of the template femur, in mm at template size.
     tibia : (m,) float64 array
-        The same for the template tibia.
+        Thickness at each vertex of the coarse surface of the template tibia, in mm at template size.
     """
     uneven = partial(compute_thickness_factor, table=bone_parameters.shape.unevenness, seed=bone_parameters.seed)
     return (
@@ -252,7 +252,7 @@ def build_tibia(bone_parameters: BoneParameters, outer_bone: BoneWithOsteophytes
 def _build_nested_solids(
     bone_parameters: BoneParameters, name: str, outer_bone: BoneWithOsteophytes, inner: Mesh, canal: Manifold
 ) -> Bone:
-    """Deform, scale and cut the surfaces of a bone; the inner ones are cut off shorter."""
+    """Deform, scale and cut the surfaces of a bone; inner surfaces end closer to the joint."""
     up, stood = (1, scale_and_lean_femur) if name == "femur" else (-1, scale_slope_and_lean_tibia)
     marrow = extract_mesh(canal)
     solids = []
@@ -267,7 +267,7 @@ def _build_nested_solids(
 
 
 def _build_canal(bone_parameters: BoneParameters, shaft: FemurShape | TibiaShape, heights: Array) -> Manifold:
-    """Build the medullary canal: it widens from a point in the metaphysis to nearly the cortex at `canal_full_z_mm`."""
+    """Build the medullary canal, which widens from a point in the metaphysis to its full width at `canal_full_z_mm`."""
     cortex, full_z_mm = make_thickness_profile(shaft.cortex, bone_parameters.cortex_scale), shaft.canal_full_z_mm
     clear_mm = (
         _CANAL_CLEARANCE_MM

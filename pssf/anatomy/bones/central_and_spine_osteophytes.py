@@ -1,4 +1,4 @@
-"""Spike osteophytes: on tibial spines, within a joint surface, and small ones on a margin."""
+"""Spike osteophytes: osteophytes on tibial spines and joint surfaces, and small osteophytes on joint margins."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,48 +15,51 @@ from ..meshing.solids import extract_mesh, require_valid_solid
 from ..template.template_bone import TemplateBone
 from .marginal_osteophytes import Deformation
 
-# Interpolated cones between two consecutive feet; together they approximate the hull of feet and tips.
+# Number of interpolated cones between two consecutive feet. All cones together approximate the convex hull of feet and
+# tips.
 _CONES_PER_SIDE = 8
-# Iterations that move the tip to the specified protrusion.
+# Number of iterations that move the tip to the specified protrusion.
 _TURNS = 16
 # Finite-difference step for the surface normal, mm.
 _STEP_MM = 1e-3
-# Lean of spine osteophytes towards each other, as a fraction of their size. On patient radiographs of KL 4 the spines
-# are 2.7 mm closer to each other than on those of KL 0 (Tiulpin et al. 2019).
+# Lean of spine osteophytes towards each other, as a fraction of their size. On patient radiographs, the spines are 2.7
+# mm closer to each other at KL 4 than at KL 0 (Tiulpin et al. 2019).
 _LEANS = 1.0
-# Largest lean, mm.
+# Largest lean of a spine osteophyte, mm.
 _MOST_LEANING_MM = 1.5
-# Spine osteophytes are ridges that fill the saddle between the spines (10 patient radiographs of KL 4; the following
-# five numbers are assumed). The breadth equals the size up to this value, mm.
+# Largest breadth of a spine osteophyte, mm; a smaller breadth equals the size. Spine osteophytes are ridges that fill
+# the saddle between the spines (10 patient radiographs of KL 4). This number and the next four are assumed.
 _BROADEST_MM = 2.5
-# Tall ridges are narrower, so they stay clear of the femur: the breadth is at most this value over the size, mm2.
+# Largest product of breadth and size of a spine osteophyte, mm2. Tall ridges are therefore narrow and stay clear of the
+# femur.
 _TALL_MM2 = 8.0
-# Distance from the top of the spine to the foot in the saddle, mm.
+# Distance from the top of the spine to the foot of the ridge in the saddle, mm.
 _INNER_FOOT_MM = 4.0
-# Length of the crest forwards and backwards, mm per mm of breadth.
+# Length of the crest from its top to its anterior and posterior end, mm per mm of breadth.
 _CREST_RUNS = 2.2
-# Fall of the crest at both of its ends, mm per mm of breadth.
+# Height difference between the top and the ends of the crest, mm per mm of breadth.
 _CREST_FALLS = 0.45
 # Range of distances from the midline in which the top of a spine is searched, mm at template size. Farther out, the
 # margin of a concave plateau may be higher than the spine.
 _SPINE_RANGE_MM = (1.0, 16.0)
-# Distance of the feet from the margin, away from the joint, mm at template size.
+# Distance of the feet from the joint margin, in the direction away from the joint, mm at template size.
 _FOOT_OFFSET_MM = 3.0
-# Feet and tips around the central one of a central osteophyte.
+# Number of feet around the central foot of a central osteophyte; the number of tips is the same.
 _AROUND = 6
-# Order in which cones connect them; the central foot is number 6, so the cones leave no hollow.
+# Order in which interpolated cones connect these feet. The central foot has number 6; its cones fill the inside of the
+# ring.
 _STAR = (0, 6, 3, 1, 6, 4, 2, 6, 5, 0)
 
 
 @dataclass(frozen=True, eq=False)
 class SpikeOsteophyte:
-    """Spike osteophyte: cones from feet in the bone to tips, of which the farthest protrudes by the size.
+    """Spike osteophyte: cones from feet in the bone to tips; the farthest tip protrudes by the size.
 
     Attributes
     ----------
     feet : (k, 3) float64 array
-        Centres of the balls at the feet, in mm. One cone goes from each foot to its tip, and interpolated cones fill
-        the gaps between consecutive pairs.
+        Centres of the balls at the feet, in mm. One cone connects each foot to its tip. Interpolated cones fill the
+        gaps between consecutive feet.
     foot_mm : float
         Radius of the balls at the feet, in mm.
     tips : (k, 3) float64 array
@@ -88,7 +91,7 @@ class SpikeOsteophyte:
 
     @property
     def fillet_mm(self) -> float:
-        """Radius of the fillet to the bone, in mm; smaller than the size, so the tip does not move."""
+        """Radius of the fillet between osteophyte and bone, in mm; below the size, so the tip does not move."""
         return min(2.0, 0.8 * self.size_mm)
 
     def is_near(self, points: Array) -> NDArray[np.bool_]:
@@ -126,7 +129,7 @@ class SpikeOsteophyte:
 
     @cached_property
     def _cones(self) -> tuple[Array, Array]:
-        """Feet and tips (cones, 3) of all cones, with those between consecutive feet, mm."""
+        """Feet and tips (cones, 3) of all cones, including the interpolated cones, mm."""
         corners = np.arange(len(self.feet))
         shares = np.linspace(0.0, corners[-1], _CONES_PER_SIDE * corners[-1] + 1)
         feet, tips = (
@@ -136,7 +139,7 @@ class SpikeOsteophyte:
         return feet, tips
 
     def build_solid(self, inset_mm: float) -> Manifold:
-        """Build the convex hull of the balls, reduced by an inset.
+        """Build the convex hull of the balls at feet and tips, reduced by an inset.
 
         Parameters
         ----------
@@ -171,16 +174,16 @@ def build_margin_spike(
     Parameters
     ----------
     table : OsteophyteMargin
-        Table of the margin.
+        Table of the joint margin.
     side_sign : float
         +1 for the medial side, -1 for the lateral side.
     bare_bone : Manifold
         Outer solid of the template bone.
     size_mm : float
-        Size at template size, in mm.
+        Size of the osteophyte at template size, in mm.
     deform : callable
-        Deformation that is applied to the bone later: points (n, 3) to points (n, 3), in mm. Its stretching is
-        compensated here.
+        Deformation that is applied to the bone later; maps points (n, 3), in mm, to points (n, 3), in mm. The
+        osteophyte has its specified size after this deformation.
 
     Returns
     -------
@@ -213,10 +216,10 @@ def build_spine_spike(side_sign: float, bare_bone: Manifold, size_mm: float, def
     bare_bone : Manifold
         Outer solid of the template tibia.
     size_mm : float
-        Size at template size, in mm.
+        Size of the osteophyte at template size, in mm.
     deform : callable
-        Deformation that is applied to the bone later: points (n, 3) to points (n, 3), in mm. Its stretching is
-        compensated here.
+        Deformation that is applied to the bone later; maps points (n, 3), in mm, to points (n, 3), in mm. The
+        osteophyte has its specified size after this deformation.
 
     Returns
     -------
@@ -258,7 +261,7 @@ def build_central_spike(
     Parameters
     ----------
     table : CentralOsteophyteShape
-        Table of the shape of central osteophytes.
+        Shape table of central osteophytes.
     location : (float, float)
         Side, +1 medial or -1 lateral, and position from anterior (-1) to posterior (+1), dimensionless.
     bare_bone : TemplateBone
@@ -266,8 +269,8 @@ def build_central_spike(
     size_mm : float
         Height above the surrounding bare bone, at template size, in mm.
     deform : callable
-        Deformation that is applied to the bone later: points (n, 3) to points (n, 3), in mm. Its stretching is
-        compensated here.
+        Deformation that is applied to the bone later; maps points (n, 3), in mm, to points (n, 3), in mm. The
+        osteophyte has its specified size after this deformation.
 
     Returns
     -------
@@ -309,14 +312,16 @@ def _fit_protrusion(
 ) -> SpikeOsteophyte:
     """Adjust a spike until its deformed farthest point protrudes by its size beyond the deformed bare bone.
 
-    The protrusion is measured along `direction` (3,); `margin_mm` is the reach of the bare bone.
+    The protrusion is measured along `direction` (3,); `margin_mm` is the extent of the deformed bare bone in this
+    direction.
     """
     stands_mm, out = size_mm, direction
     for _ in range(_TURNS):
         shape = make(stands_mm, out)
         near = shape.farthest_point + np.vstack((np.zeros(3), _STEP_MM * np.eye(3)))
         reach = deform(near) @ direction
-        # The farthest point of the ball is where its normal is the gradient of the deformed position.
+        # At the farthest point of the ball, the normal is parallel to the gradient of the deformed position along
+        # `direction`.
         slope = reach[1:] - reach[0]
         out = slope / np.linalg.norm(slope)
         stands_mm += size_mm - (float(reach[0]) - margin_mm)
@@ -327,7 +332,7 @@ def _fit_protrusion(
 def _fill_cone_distances(away: Array, points: Array, feet: Array, tips: Array, foot_mm: float, tip_mm: float) -> None:
     """Fill the approximate distances (n,) of points (n, 3) from the nearest cone between foot and tip balls, mm."""
     for i in range(len(points)):
-        # The minimum is not blended, because blended cones would swell where they meet, in the tip.
+        # The minimum is not blended, because blended cones would be too thick at the tip, where they meet.
         nearest = np.inf
         for k in range(len(feet)):
             along, square, squared = 0.0, 0.0, 0.0

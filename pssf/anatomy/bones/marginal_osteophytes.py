@@ -33,17 +33,17 @@ _UNDER_MM = 3.0
 _WAYS_MM = (-12.0, 12.0)
 # Samples along each of these lines.
 _SAMPLES = 49
-# Points of the margin within this distance of its farthest point are averaged to find its centre, mm.
+# Distance from the farthest margin point within which points are averaged to find the centre of the margin, mm.
 _MARGIN_TOLERANCE_MM = 0.3
 # Radius with which both ends of an osteophyte are rounded, mm; most ends are inside the bone.
 _END_ROUNDING_MM = 1.0
 # Distance from the profile of an osteophyte beyond which the bone is unchanged, mm.
 _INFLUENCE_MM = 4.0
-# Smallest number of valid positions for a parabola through the outline.
+# Smallest number of valid positions to which a parabola is fitted.
 _FEWEST = 4
 # Depth of both ends of an osteophyte below the bone surface, mm, in addition to the radius of the fillet.
 _SUNK_MM = 0.3
-# Largest number of iterations that find the farthest point and move it to the specified size.
+# Largest number of iterations that find the farthest point and move it to the specified protrusion.
 _TURNS = 60
 # Tolerance of the protrusion, mm.
 _SETTLED_MM = 1e-9
@@ -74,9 +74,9 @@ class LipOsteophyte:
     edge_polynomial : (3,) float64 array
         Outward position of the edge, in mm, as a polynomial (powers 0 to 2) of the position along the margin.
     rise_polynomial : (3,) float64 array
-        Position of the edge towards the joint, in mm, as such a polynomial.
+        Position of the edge towards the joint, in mm, as a polynomial (powers 0 to 2) of the position along the margin.
     half_length_mm : float
-        Distance from the centre to either end, in mm. Both ends are inside the bone.
+        Distance from the centre of the osteophyte to either end, in mm. Both ends are inside the bone.
     size_mm : float
         Size of the osteophyte at template size, in mm.
     edge_mm : float
@@ -117,12 +117,12 @@ class LipOsteophyte:
 
     @property
     def tip(self) -> Array:
-        """Centre of the rounded edge at the farthest point (3,), in mm."""
+        """Centre of curvature (3,) of the rounded edge at the farthest point, in mm."""
         return self.farthest_point - self.edge_mm * self.direction
 
     @property
     def fillet_mm(self) -> float:
-        """Radius of the fillet to the bone, in mm; smaller than the size, so the tip does not move."""
+        """Radius of the fillet between osteophyte and bone, in mm; below the size, so the tip does not move."""
         return fillet_radius_mm(self.size_mm)
 
     def compute_surface_points(self, spots: Array) -> Array:
@@ -212,7 +212,8 @@ class LipOsteophyte:
         along = np.linspace(-self.half_length_mm, self.half_length_mm, count)
         turn = np.arange(_AROUND) * (2 * np.pi / _AROUND)
         ways = np.column_stack((np.cos(turn), np.sin(turn)))
-        # The profile is the hull of two circles: in each direction, the point of the circle that reaches farther.
+        # The profile is the convex hull of two circles. In each direction, its point is on the circle that extends
+        # farther.
         reach = np.array([ways @ centre + radius for centre, radius in self._place_profile_balls(inset_mm)])
         each = np.array([centre + radius * ways for centre, radius in self._place_profile_balls(inset_mm)])
         section = np.where((reach[0] > reach[1])[:, None], each[0], each[1])
@@ -229,7 +230,7 @@ class LipOsteophyte:
     def _convert_to_local(self, points: Array) -> tuple[Array, Array, Array]:
         """Convert points (n, 3), mm, to local coordinates (n,) along the margin, outwards and towards the joint.
 
-        The last two are measured from the edge, in mm.
+        The coordinates outwards and towards the joint are measured from the edge, in mm.
         """
         along, out, up = ((points - self.origin) @ self.axes.T).T
         return (
@@ -239,7 +240,7 @@ class LipOsteophyte:
         )
 
     def _stretch_factor(self, along: Array) -> Array:
-        """Compute the stretch (n,) of outward distances where the edge is oblique to the outward axis."""
+        """Compute the factors (n,) that stretch outward distances where the edge is oblique to the outward axis."""
         return np.asarray(np.hypot(1.0, polyval(along, [self.edge_polynomial[1], 2 * self.edge_polynomial[2]])))
 
     def _compute_bend_mm(self, out: Array) -> Array:
@@ -247,7 +248,10 @@ class LipOsteophyte:
         return np.asarray(self.bend_tangent * np.maximum(out + self.size_mm, 0.0) ** 2 / (2 * self.size_mm))
 
     def _place_profile_balls(self, inset_mm: float) -> tuple[tuple[Array, float], tuple[Array, float]]:
-        """Return centre (outward, jointward) from the edge and radius of the base circle and of the tip circle, mm."""
+        """Return centre and radius of the base circle and of the tip circle of the profile, mm.
+
+        A centre (2,) contains the distances from the edge outwards and towards the joint.
+        """
         tip_mm = max(self.edge_mm - inset_mm, 0.1)
         back = max(0.0, inset_mm - (self.edge_mm - tip_mm))
         foot = np.array([-self.long_mm, self.edge_mm - self.base_mm - self.tip_above_foot_mm])
@@ -270,14 +274,14 @@ def build_lip_osteophyte(
     osteophyte : Osteophyte
         Site, position along the margin and curvature.
     size_mm : float
-        Size at template size, in mm.
+        Size of the osteophyte at template size, in mm.
     template : TemplateBone
         Template bone.
     tables : (OsteophyteMargin, MarginalOsteophyteShape)
-        Tables of the margin of this bone and of the shape of marginal osteophytes.
+        Table of the joint margin of this bone, and shape table of marginal osteophytes.
     deform : callable
-        Deformation that is applied to the bone later: points (n, 3) to points (n, 3), in mm. Its stretching is
-        compensated here.
+        Deformation that is applied to the bone later; maps points (n, 3), in mm, to points (n, 3), in mm. The
+        osteophyte has its specified size after this deformation.
 
     Returns
     -------
@@ -326,7 +330,7 @@ def build_lip_osteophyte(
 def _fit_outline(field: ScalarField, origin: Array, axes: Array) -> tuple[Array, Array]:
     """Fit polynomials (3,) to the outward edge of the bone and to the height of its joint surface along the margin.
 
-    `origin` (3,) and `axes` (3, 3) are as in `LipOsteophyte`.
+    `origin` (3,) and `axes` (3, 3) are the attributes of `LipOsteophyte` with these names.
     """
     along = np.linspace(-_FARTHEST_MM, _FARTHEST_MM, _STATIONS)
     ways = np.linspace(*_WAYS_MM, _SAMPLES)
@@ -352,7 +356,7 @@ def _find_bone_edge_mm(field: ScalarField, starts: Array, direction: Array, dist
 
 
 def _fit_parabola(along: Array, values: Array) -> Array:
-    """Fit a parabola (3,) to values (n,) along the margin, without nan; a constant if there are too few."""
+    """Fit a parabola (3,) to the values (n,) along the margin that are not nan; fit a constant if too few remain."""
     there = ~np.isnan(values)
     if there.sum() < _FEWEST:
         return np.array([np.nanmean(values) if there.any() else 0.0, 0.0, 0.0])

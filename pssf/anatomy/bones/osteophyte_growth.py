@@ -31,31 +31,33 @@ from .marginal_osteophytes import Deformation, LipOsteophyte, build_lip_osteophy
 
 # Smallest thickness of the cortex of an osteophyte, mm.
 _CORTEX_MM = 0.3
-# Additional thickness of the cortex as a fraction of the size, dimensionless.
+# Additional thickness of the cortex as a fraction of the size of the osteophyte, dimensionless.
 _CORTEX_PER_SIZE = 0.06
-# Smoothing rounds for the mesh around osteophytes.
+# Number of smoothing rounds for the mesh around osteophytes.
 _SMOOTHING_ROUNDS = 3
-# Longest edge of the interior of an osteophyte, mm.
+# Longest mesh edge of the interior of an osteophyte, mm.
 _EDGE_MM = 2.0
-# Longest edge of the outer solid of an osteophyte before it is smoothed, mm.
+# Longest mesh edge of the outer solid of an osteophyte before smoothing, mm.
 _ROUGH_EDGE_MM = 1.2
-# Interior vertices at a smaller depth are moved to this depth, mm.
+# Smallest depth of interior vertices below the surface, mm; shallower vertices are moved to this depth.
 _SHALLOW_MM = 0.2
-# Newton iterations of this movement; tips stay where they are.
+# Number of Newton iterations that move these vertices. Vertices of the tips are deep enough and are not moved.
 _STEPS = 4
-# Interior edges that come closer to the surface than this are split, mm.
+# Smallest distance of an interior edge from the surface, mm; closer edges are split.
 _NEAR_MM = 0.1
-# Fractions of an edge at which its depth is tested.
+# Positions along an edge at which its depth below the surface is tested, as fractions of its length.
 _ALONG = (0.25, 0.5, 0.75)
-# Largest number of rounds of splitting.
+# Largest number of edge-splitting rounds.
 _SPLITS = 4
-# Inset of the bone if the interior is intersected with it, mm.
+# Distance by which the bone surface is moved inwards before an osteophyte interior is intersected with the bone, mm.
 _DRAWN_IN_MM = 0.3
 # Marginal osteophytes below this size become spikes, mm at template size.
 _MAX_SPIKE_SIZE_MM = 0.38
-# Detached trabecular bodies up to this volume are removed, mm3: they would turn inside out when deformed.
+# Largest volume of detached components of trabecular bone that are removed, mm3. Deformation would turn them inside
+# out.
 _SPECK_MM3 = 1e-2
-# Both kinds have a farthest point, a distance field, a solid and a test for points near them.
+# Marginal or spike osteophyte. Both classes have a farthest point, a distance field, a solid and a test for near
+# points.
 OsteophyteShape = LipOsteophyte | SpikeOsteophyte
 
 
@@ -68,11 +70,11 @@ class BoneWithOsteophytes:
     name : str
         Name of the bone.
     field : callable
-        Approximate signed distance from the surface: points (n, 3), in mm, to values (n,), in mm, negative inside.
+        Maps points (n, 3), in mm, to approximate signed distances (n,) from the surface, in mm, negative inside.
     make_mesh : callable
-        Makes the surface mesh. It creates no solid, so any thread may call it.
+        Function that makes the surface mesh. It creates no solid, so any thread may call it.
     deform : callable
-        Deformation of the bone: points (n, 3) to points (n, 3), in mm.
+        Deformation of the bone; maps points (n, 3), in mm, to points (n, 3), in mm.
     shapes : tuple of LipOsteophyte or SpikeOsteophyte
         Osteophytes of the bone.
     """
@@ -90,7 +92,7 @@ class BoneWithOsteophytes:
 
     @cached_property
     def outer(self) -> Manifold:
-        """Solid of the surface at template size, in mm."""
+        """Solid that the surface mesh bounds, at template size, in mm."""
         return build_solid(*self.mesh, f"{self.name} with osteophytes")
 
     @cached_property
@@ -111,7 +113,7 @@ class BoneWithOsteophytes:
         Returns
         -------
         Mesh
-            Trabecular surface with osteophytes; `marrow` itself if there are none.
+            Trabecular surface with osteophytes; `marrow` itself if the bone has no osteophytes.
 
         Raises
         ------
@@ -128,15 +130,15 @@ class BoneWithOsteophytes:
             drawn_in = self._inset_mesh(fine)
             if drawn_in is not None:
                 inner = inner + build_solid(*drawn_in, "osteophyte interior")
-            else:  # the mesh has inverted faces; the slower Boolean operation avoids them
+            else:  # The moved mesh would have inverted faces; the slower Boolean operation avoids them.
                 inner = inner + _intersect_inset_bone(within, self.outer, shape.direction).refine_to_length(_EDGE_MM)
         return extract_mesh(_remove_specks(inner))
 
     def _inset_mesh(self, within: Mesh) -> Mesh | None:
-        """Move shallow vertices of the interior of an osteophyte inwards; None if this inverts faces.
+        """Move shallow vertices of an osteophyte interior inwards, or return None if this move inverts faces.
 
         The feet of a small osteophyte may extend beyond the bone at a margin. An edge across a crease may have deep
-        ends and a shallow midpoint: it is split, and the new vertex is moved inwards too.
+        ends and a shallow midpoint. This edge is split, and the new vertex is moved inwards too.
         """
         for _ in range(_SPLITS):
             places = within.vertices.copy()
@@ -176,14 +178,15 @@ def _intersect_inset_bone(within: Manifold, bone: Manifold, direction: Array) ->
     about = bone ^ build_bounding_box(within, 2 * _DRAWN_IN_MM)
     within = within ^ about
     for way in (*np.eye(3), *-np.eye(3), -direction):
-        # The copies are intersected one by one, because the surfaces of two copies would cross everywhere.
+        # The shifted copies of the bone are intersected one by one, because the surfaces of two copies cross
+        # everywhere.
         within.status()
         within = within ^ about.translate(_DRAWN_IN_MM * way)
     return within
 
 
 def _remove_specks(solid: Manifold) -> Manifold:
-    """Remove small detached bodies from a solid."""
+    """Remove small connected components from a solid."""
     bodies = solid.decompose()
     return Manifold.compose([body for body in bodies if body.volume() > _SPECK_MM3]) if len(bodies) > 1 else solid
 
@@ -195,21 +198,22 @@ def grow_osteophytes(
     scale: float,
     deform: Deformation,
 ) -> BoneWithOsteophytes:
-    """Add to a bone the osteophytes that belong to it.
+    """Add the osteophytes of a bone to its outer surface.
 
     Parameters
     ----------
     osteophytes : tuple of Osteophyte
-        All osteophytes of the knee; those of other bones are ignored.
+        All osteophytes of the knee; osteophytes of other bones are ignored.
     template : TemplateBone
         Template bone.
     margins : OsteophyteShapes
-        Tables of the locations and shapes of osteophytes.
+        Tables of osteophyte locations and shapes.
     scale : float
-        Size of the bone relative to the template, dimensionless. Sizes of osteophytes are actual sizes.
+        Size of the bone relative to the template, dimensionless. Osteophyte sizes are actual sizes and do not scale
+        with it.
     deform : callable
-        Deformation that is applied to the bone later: points (n, 3) to points (n, 3), in mm. Its stretching is
-        compensated here.
+        Deformation that is applied to the bone later; maps points (n, 3), in mm, to points (n, 3), in mm. Osteophytes
+        have their specified sizes after this deformation.
 
     Returns
     -------
@@ -219,7 +223,7 @@ def grow_osteophytes(
     Raises
     ------
     InputError
-        One osteophyte hides the farthest point of another.
+        One osteophyte hides the farthest point of another osteophyte.
     """
     own = [osteophyte for osteophyte in osteophytes if osteophyte.bone == template.name]
     shapes = [
@@ -234,7 +238,7 @@ def grow_osteophytes(
         joined = bare.copy()
         for shape in shapes:
             close = shape.is_near(points)
-            # Each osteophyte is blended only with the bone; a blend with another one would raise its tip.
+            # Each osteophyte is blended only with the bone; a blend with another osteophyte would move its tip.
             with_it = smooth_union(bare[close], shape.compute_distance_mm(points[close]), shape.fillet_mm)
             joined[close] = np.minimum(joined[close], with_it)
         return joined
@@ -253,7 +257,7 @@ def grow_osteophytes(
 def _build_osteophyte(
     osteophyte: Osteophyte, size_mm: float, template: TemplateBone, margins: OsteophyteShapes, deform: Deformation
 ) -> OsteophyteShape:
-    """Build one osteophyte by its site and size: spine, central, small marginal spike, or marginal."""
+    """Build a spine, central or marginal osteophyte, or a small marginal spike, depending on site and size."""
     side, where = osteophyte.site.split("_")
     direction = 1.0 if side == "medial" else -1.0
     if where == "spine":
@@ -268,7 +272,7 @@ def _build_osteophyte(
 
 
 def _require_tips_not_hidden(osteophytes: tuple[Osteophyte, ...], shapes: list[OsteophyteShape], bone: str) -> None:
-    """Raise InputError if the farthest point of one osteophyte is inside another."""
+    """Raise InputError if the farthest point of one osteophyte is inside another osteophyte."""
     for shape in shapes:
         for other in shapes:
             if other is not shape and float(other.compute_distance_mm(shape.farthest_point[None])[0]) < 0:

@@ -1,4 +1,4 @@
-"""Parameter conflicts: name the parameters of a knee that leave its solids no clearance when a check fails."""
+"""Parameter conflicts: find the knee parameters that may have caused the failed check of a solid."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -15,7 +15,7 @@ from ...model.protocol import Posture
 Laws = Mapping[str, FieldSpec]
 # Fields that change the size of bones.
 _SIZE_PARAMETERS = ("bone_scale", "stature_mm")
-# Fields that may cause each fault; the keys are words of the error messages of the checks.
+# Fields that may cause each fault. Each key is a word in the error messages of the checks.
 _PARAMETERS_BY_FAULT = {
     "cortex": ("limb_ap_mm", "fat_mm", *_SIZE_PARAMETERS),
     "trabecular bone": ("cortex_scale", "subchondral_plate", "notch_growth_mm", *_SIZE_PARAMETERS),
@@ -31,35 +31,35 @@ _PARAMETERS_BY_BONE = {
     "fibula": ("fibular_tip_mm",),
     "fabella": ("fabella_mm",),
 }
-# A field is named only if it differs from its usual value by at least this fraction of half its range.
+# Smallest difference from the usual value at which an error message names a field, as a fraction of half its range.
 _LEAST_SHARE = 0.25
-# An osteophyte is named only from this size on, mm.
+# Smallest size of an osteophyte that an error message names, mm.
 _LEAST_MM = 2.0
-# A shape score is named only from this magnitude on, in standard deviations.
+# Smallest magnitude of a shape score that an error message names, in standard deviations.
 _LEAST_SD = 1.5
-# Largest number of named fields.
+# Largest number of fields that an error message names.
 _MAX_NAMED = 5
-# Flexion is named only above this angle, degrees.
+# Angle above which an error message names the flexion, degrees.
 _MIN_FLEXION_DEG = 20.0
 
 
 class SolidConflictError(InputError):
-    """Error of a solid that extends beyond the solid around it, or that overlaps another one.
+    """Error of a solid that extends beyond the solid around it, or that overlaps another solid.
 
-    Its message names solids; `explain_conflicts` adds the parameters of the knee.
+    The error message names the solids; `explain_conflicts` adds the parameters of the knee.
     """
 
 
 @contextmanager
 def explain_conflicts(knee: Knee, posture: Posture) -> Iterator[None]:
-    """Convert an error about solids into one that names the conflicting parameters and their usual values.
+    """Convert an error about solids into an error that names the conflicting parameters and their usual values.
 
     Parameters
     ----------
     knee : Knee
         Knee that is built inside the ``with`` block.
     posture : Posture
-        Posture in which it is built.
+        Posture in which the knee is built.
 
     Yields
     ------
@@ -69,7 +69,7 @@ def explain_conflicts(knee: Knee, posture: Posture) -> Iterator[None]:
     Raises
     ------
     InputError
-        A check of solids has failed. An error that names parameters already is raised unchanged.
+        A check of solids has failed. An error that already names parameters is raised unchanged.
     """
     try:
         yield
@@ -81,7 +81,7 @@ def explain_conflicts(knee: Knee, posture: Posture) -> Iterator[None]:
 
 
 def _format_conflict(knee: Knee, posture: Posture, text: str, laws: Laws) -> str:
-    """Format the message: conflicting parameters, with the failed check."""
+    """Format an error message that names the conflicting parameters and the failed check."""
     names = next(
         (fields for fault, fields in _PARAMETERS_BY_FAULT.items() if fault in text),
         sum(_PARAMETERS_BY_FAULT.values(), ()),
@@ -98,7 +98,7 @@ def _format_conflict(knee: Knee, posture: Posture, text: str, laws: Laws) -> str
 
 
 def _compute_departure(knee: Knee, usual: Knee, name: str, laws: Laws) -> float:
-    """Return the difference between a value and the usual one, in half ranges of its field."""
+    """Return the difference between the value of a field and its usual value, as a fraction of half its range."""
     bounds = laws[name].range
     assert bounds is not None
     return abs(getattr(knee, name) - getattr(usual, name)) / (bounds[1] - bounds[0]) * 2
@@ -111,7 +111,7 @@ def _format_parameter(knee: Knee, usual: Knee, name: str, unit: str) -> str:
 
 
 def _list_other_causes(knee: Knee, posture: Posture) -> list[str]:
-    """List other possible causes: large osteophytes, a shape far from the mean, a flexed knee."""
+    """List other possible causes of a conflict: large osteophytes, a shape far from the mean, a flexed knee."""
     large = [f"{one.site} {one.size_mm:.3g} mm" for one in knee.osteophytes if one.size_mm >= _LEAST_MM]
     far: Any = np.flatnonzero(np.abs(knee.shape) >= _LEAST_SD) if knee.shape else ()
     bent = knee.flexion_deg + posture.flexion_deg

@@ -1,4 +1,4 @@
-"""Plateau wear (attrition): remove tibial bone where the femur would overlap it, bone on bone."""
+"""Plateau wear (attrition): remove tibial bone where the femur would overlap the tibia."""
 
 import numpy as np
 from manifold3d import Manifold, OpType
@@ -7,19 +7,21 @@ from ...core.checks import Array
 from .bone_shells import Bone
 from .parameter_conflicts import SolidConflictError
 
-# Gap between worn bones, mm, which touch in vivo: half of the tolerance of the joint space width.
+# Gap between worn bones, mm: half the tolerance of the joint space width. In vivo, worn bones touch.
 CONTACT_MM = 5e-4
-# Largest depth by which a plateau or a spine may be worn, mm (assumed; the OARSI atlas gives no number). In shapes 3 SD
-# from the mean in every mode, a tall spine with an osteophyte overlaps the wall of a narrow notch by 6 mm.
+# Largest depth by which a plateau or a spine may be worn, mm (assumed; the OARSI atlas gives no number). If all shape
+# scores are 3 SD, a tall spine with an osteophyte overlaps the wall of a narrow notch by 6 mm.
 MAX_WEAR_MM = 7.0
-# Overlap up to this volume is rounding error, mm3.
+# Largest overlap volume that counts as a rounding error, mm3.
 ROUNDING_MM3 = 1e-6
-# Detached bodies up to this volume are removed where a plateau is worn thin, mm3.
+# Largest number of times that the gap is doubled. Shifted copies of the femur nearly coincide and may leave an overlap.
+_WIDENINGS = 3
+# Largest volume of detached components that are removed where a plateau is worn thin, mm3.
 _CRUMB_MM3 = 0.1
 
 
 def wear_tibia(tibia: Bone, femur: Manifold, plate_mm: float) -> Bone:
-    """Remove from the tibia what the femur overlaps, and keep the plate thickness under the worn surface.
+    """Remove the part of the tibia that the femur overlaps, and keep the plate thickness under the worn surface.
 
     Parameters
     ----------
@@ -44,26 +46,26 @@ def wear_tibia(tibia: Bone, femur: Manifold, plate_mm: float) -> Bone:
     if wearing is None:
         return tibia
     return Bone(
-        outer=_remove_crumbs(_subtract_femur(tibia.outer, wearing, CONTACT_MM)),
+        outer=_remove_crumbs(_wear_outer_solid(tibia.outer, wearing)),
         inner=_remove_crumbs(_subtract_femur(tibia.inner, wearing, CONTACT_MM + plate_mm)),
         canal=tibia.canal,
     )
 
 
 def wear_outer_tibia(tibia: Manifold, femur: Manifold) -> Manifold:
-    """Remove from the outer solid of the tibia what the femur overlaps.
+    """Remove the part of the outer tibia that the femur overlaps.
 
     Parameters
     ----------
     tibia : Manifold
         Outer solid of the tibia, in mm.
     femur : Manifold
-        Outer solid of the femur in the same frame, in mm.
+        Outer solid of the femur in the frame of `tibia`, in mm.
 
     Returns
     -------
     Manifold
-        The worn solid, including small detached bodies; `tibia` itself if the bones do not overlap.
+        The worn solid, including small detached components; `tibia` itself if the bones do not overlap.
 
     Raises
     ------
@@ -71,7 +73,7 @@ def wear_outer_tibia(tibia: Manifold, femur: Manifold) -> Manifold:
         The wear would be deeper than `MAX_WEAR_MM`.
     """
     wearing = _find_wearing_part(tibia, femur, CONTACT_MM)
-    return tibia if wearing is None else _subtract_femur(tibia, wearing, CONTACT_MM)
+    return tibia if wearing is None else _wear_outer_solid(tibia, wearing)
 
 
 def crop_to_box(femur: Manifold, box_mm: Array, margin_mm: float) -> Manifold:
@@ -104,20 +106,29 @@ def _find_wearing_part(tibia: Manifold, femur: Manifold, margin_mm: float) -> Ma
         return None
     if (tibia ^ femur.translate((0.0, 0.0, MAX_WEAR_MM))).volume() > ROUNDING_MM3:
         raise SolidConflictError(
-            f"femur and tibia must overlap by at most {MAX_WEAR_MM:g} mm, the deepest wear of a plateau, got more in "
+            f"femur and tibia must overlap by at most {MAX_WEAR_MM:g} mm, the largest wear of a plateau, got more in "
             f"a shared volume of {shared.volume():.3g} mm3: joint space, osteophytes or pose leave no clearance"
         )
     return crop_to_box(femur, np.array(shared.bounding_box()).reshape(2, 3), margin_mm)
 
 
+def _wear_outer_solid(tibia: Manifold, femur: Manifold) -> Manifold:
+    """Subtract the femur and the contact gap from a tibia, with a wider gap where rounding leaves an overlap."""
+    for clearance_mm in CONTACT_MM * 2.0 ** np.arange(_WIDENINGS + 1):
+        worn = _subtract_femur(tibia, femur, clearance_mm)
+        if (worn ^ femur).volume() <= ROUNDING_MM3:
+            break
+    return worn
+
+
 def _subtract_femur(solid: Manifold, femur: Manifold, clearance_mm: float) -> Manifold:
-    """Subtract the femur and a clearance around it, downwards and to all sides, from a solid."""
-    # The femur itself is subtracted too, because one of its edges may be thinner than the shift of the copies.
+    """Subtract the femur from a solid, with a clearance below and on all four sides of the femur."""
+    # The femur itself is subtracted too, because an edge of the femur may be thinner than the shift of the copies.
     ways = clearance_mm * np.array([[0, 0, 0], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     return Manifold.batch_boolean([solid, *(femur.translate(way) for way in ways)], OpType.Subtract)
 
 
 def _remove_crumbs(solid: Manifold) -> Manifold:
-    """Remove small detached bodies from a solid."""
+    """Remove small connected components from a solid."""
     bodies = solid.decompose()
     return solid if len(bodies) == 1 else Manifold.compose([one for one in bodies if one.volume() > _CRUMB_MM3])

@@ -1,6 +1,6 @@
-"""Checks of bone solids: shells inside each other, and no overlap of bones.
+"""Checks of bone solids: shells must be nested, and bones must not overlap.
 
-Without these checks, path lengths through the scene would be wrong without a message.
+Without these checks, path lengths through the scene could be wrong without a warning.
 """
 
 from collections.abc import Mapping
@@ -18,14 +18,14 @@ from .parameter_conflicts import SolidConflictError
 _MENDED_MM3 = 10.0
 # Distance by which the surface is moved inwards in a repair, mm.
 _DRAWN_IN_MM = 0.1
-# Margin around the outside parts within which the surface is moved, mm.
+# Margin around the protruding trabecular bone within which the surface is moved, mm.
 _ABOUT_MM = 0.5
-# A volume outside or shared up to this value is rounding error, mm3.
+# Largest volume of a protrusion or an overlap that counts as a rounding error, mm3.
 _ROUNDING_MM3 = 1e-6
 
 
 def is_nested(part: Bone) -> bool:
-    """Test whether the trabecular bone is inside the outer surface of its bone, as it nearly always is.
+    """Test whether the trabecular bone is inside the outer surface of its bone.
 
     Parameters
     ----------
@@ -35,14 +35,14 @@ def is_nested(part: Bone) -> bool:
     Returns
     -------
     bool
-        True if it is inside.
+        True if the trabecular bone is inside.
     """
-    # This test is several times as fast as the Boolean difference of both solids.
+    # This test is several times faster than the Boolean difference of the two solids.
     return is_mesh_within(extract_mesh(part.inner), extract_mesh(part.outer))
 
 
 def repair_nesting(name: str, part: Bone) -> Bone:
-    """Move trabecular bone inwards where it extends beyond the outer surface of a thin, folded cortex.
+    """Move trabecular bone inwards where it protrudes from the outer surface of a thin, folded cortex.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def repair_nesting(name: str, part: Bone) -> Bone:
     Raises
     ------
     InputError
-        More than 10 mm3 is outside, too much for a fold.
+        More than 10 mm3 of trabecular bone is outside the cortex, too much for a fold.
     """
     outside = part.inner - part.outer
     outside_mm3 = outside.volume()
@@ -69,7 +69,8 @@ def repair_nesting(name: str, part: Bone) -> Bone:
         raise SolidConflictError(
             f"trabecular bone of the {name} must be inside the solid around it, got {outside_mm3:.3g} mm3 outside"
         )
-    # Only the neighbourhood is copied, because copies of the whole bone would cross everywhere and take a second.
+    # Only the bone around the protruding parts is copied, because the surfaces of whole copies cross everywhere and
+    # their intersection takes a second.
     pieces = outside.decompose()
     about = part.outer ^ _unite_boxes(pieces, _ABOUT_MM + 2 * _DRAWN_IN_MM)
     ways = [about.translate(tuple(way)) for way in _DRAWN_IN_MM * np.vstack((np.eye(3), -np.eye(3)))]
@@ -78,7 +79,7 @@ def repair_nesting(name: str, part: Bone) -> Bone:
 
 
 def _unite_boxes(pieces: list[Manifold], margin_mm: float) -> Manifold:
-    """Unite the boxes around all pieces, enlarged by a margin."""
+    """Unite the bounding boxes of all connected components, enlarged by a margin."""
     return Manifold.batch_boolean([build_bounding_box(piece, margin_mm) for piece in pieces], OpType.Add)
 
 
@@ -88,7 +89,7 @@ def check_nesting(bones: Mapping[str, Bone], muscle: Manifold) -> None:
     Parameters
     ----------
     bones : Mapping of str to Bone
-        Solids of the bones by name, in one frame, in mm.
+        Solids of the bones by name, all in the frame of `muscle`, in mm.
     muscle : Manifold
         Solid that encloses all bones.
 

@@ -1,4 +1,4 @@
-"""Small bones of a right knee: fibula, patella and fabella, placed beside femur and tibia."""
+"""Small bones of a right knee: fibula, patella and fabella, placed relative to femur and tibia."""
 
 from collections.abc import Callable
 
@@ -36,15 +36,15 @@ _PATELLA_COUNT = 64
 _PATELLA_STEP_MM = 1.25
 # Smallest vertical thickness of the cortex of the patella, mm.
 _DRAWN_IN_MM = 0.1
-# Vertical thickness of this cortex at the upper and lower end, mm.
+# Vertical thickness of the cortex at the upper and lower end of the patella, mm.
 _END_CORTEX_MM = 0.4
 # Thickness of the subchondral bone plate of the fibula towards the tibia, mm.
 _JOINT_PLATE_MM = 0.7
 # Thickness of the cortex at the tip of the fibular head, mm.
 _TIP_CORTEX_MM = 0.3
-# Length of the fibular head, mm; it is strongly curved and gets closer rings.
+# Length of the fibular head, mm. The head is strongly curved, so its rings are closer together.
 _HEAD_LENGTH_MM = 40.0
-# Distance from the fibula beyond which the tibia cannot limit it, mm.
+# Margin around the fibula within which tibial bone is subtracted from the fibula, mm.
 _NEAR_FIBULA_MM = 5.0
 # Height below which the fibula leans with the tibial shaft, mm at template size.
 _FIBULA_LEANS_BELOW_MM = -25.0
@@ -54,24 +54,24 @@ _FRONT_BELOW_MM = 90.0
 _FACES_FRONT = 0.3
 # Width of the supporting surface beyond either edge of the patella, mm.
 _BESIDE_MM = 6.0
-# The gap to the femur is reached at this quantile of the gaps of all patellar points, dimensionless.
+# Quantile of the gaps at all patellar points that equals the nominal gap to the femur, dimensionless.
 _NEAR_SHARE = 0.1
 # Smallest gap of any patellar point, as a fraction of the nominal gap.
 _LEAST_SHARE = 0.6
-# Fraction of the flexion of the knee that the patella does not follow; it flexes by about two thirds (assumed).
+# Fraction of the knee flexion that the patella does not follow (assumed). The patella flexes by about two thirds of it.
 _PATELLAR_LAG_FRACTION = 0.35
 # Step of the downward search for the height of the patella, mm.
 _STEP_MM = 4.0
-# Tolerance of this height, mm.
+# Tolerance of the height of the patella, mm.
 _HEIGHT_MM = 1e-3
-# Approximate number of points on the back of the patella that are compared with the femur.
+# Approximate number of points on the posterior surface of the patella that are compared with the femur.
 _PLACES = 500
 # Largest fraction of these points that may have no femur behind them.
 _MOST_BESIDE = 0.9
 
 
 def build_fibula(knee: Knee, bone_parameters: BoneParameters, tibia: Manifold) -> Bone:
-    """Build the fibula and cut it clear of the tibia.
+    """Build the fibula and subtract the tibia from it with a gap.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ def build_fibula(knee: Knee, bone_parameters: BoneParameters, tibia: Manifold) -
         _FIBULA_LEANS_BELOW_MM * s - sections[:, 0]
     )
     cortex = make_thickness_profile(scale_sections(table.cortex, s), bone_parameters.cortex_scale)
-    # The fibula follows the proximal tibiofibular joint of the deformed tibia.
+    # The fibula is shifted together with the proximal tibiofibular joint of the deformed tibia.
     joint = np.array([table.joint_mm])
     sideways = ((deform_template_points(joint, bone_parameters.tibia) - joint) * s)[0]
     top_mm = sections[:, 0].max()
@@ -108,7 +108,7 @@ def build_fibula(knee: Knee, bone_parameters: BoneParameters, tibia: Manifold) -
         space_ring_heights(top_mm - _HEAD_LENGTH_MM, top_mm, 1.5),
     )
     heights = np.sort(np.concatenate((shaft[:-1], head, [top_mm - _TIP_CORTEX_MM])))
-    # Both lofts share the heights of their rings, so the inner one is inside the outer one between rings too.
+    # The rings of both lofts have the same heights, so the inner loft is inside the outer loft between rings too.
     within = heights[(heights > heights[0] + 1.4) & (heights < heights[-1])]
     outer, inner = (
         loft_column(sections, inset, rings, "fibula", count=64).simplify(tolerance).translate((*sideways[:2], down))
@@ -121,9 +121,10 @@ def build_fibula(knee: Knee, bone_parameters: BoneParameters, tibia: Manifold) -
         (0.0, 0.0, -1.0), knee.fibular_tip_mm - 5.0
     )
     towards = np.array(table.faces) / np.linalg.norm(table.faces)
-    # Both lofts are simplified before the cut, because the sharp edge of the cut leaves no tolerance for it.
+    # Both lofts are simplified before the cut, because the sharp edge of the cut leaves no tolerance for
+    # simplification.
     return Bone(
-        # The tibia itself is subtracted too, because one of its osteophytes may be thinner than the gap.
+        # The tibia itself is subtracted too, because a tibial osteophyte may be thinner than the gap.
         outer=require_valid_solid(outer - near.translate(-table.gap_to_tibia_mm * towards) - near, "fibula"),
         inner=require_valid_solid(
             inner - near.translate(-(table.gap_to_tibia_mm + _JOINT_PLATE_MM) * towards), "fibula marrow"
@@ -152,7 +153,7 @@ def build_patella(bone_parameters: BoneParameters) -> Bone:
     table, s = bone_parameters.shape.patella, bone_parameters.scale
     drawn_in = _make_patella_inset(table, make_thickness_profile(table.cortex, bone_parameters.cortex_scale))
     low, high = min(table.sections)[0], max(table.sections)[0]
-    # Both lofts share the heights of their rings, so the inner one is inside the outer one between rings too.
+    # The rings of both lofts have the same heights, so the inner loft is inside the outer loft between rings too.
     within = space_ring_heights(low + _END_CORTEX_MM, high - _END_CORTEX_MM, _PATELLA_STEP_MM)
     outer = _loft_patella(table, np.zeros_like, np.array([low, *within, high]), "patella")
     inner = _loft_patella(table, drawn_in, within, "patella marrow")
@@ -163,7 +164,7 @@ def build_patella(bone_parameters: BoneParameters) -> Bone:
             lambda points: (displace_points(np.array(points) + middle, bone_parameters.patella) - middle) * s
         )
 
-    # The lofts are simplified after the deformation, because flat regions do not stay flat.
+    # The lofts are simplified after the deformation, because the deformation bends flat regions.
     return Bone(
         outer=require_valid_solid(formed_as(outer).simplify(_SIMPLIFY_TOLERANCE_MM), "patella"),
         inner=require_valid_solid(formed_as(inner).simplify(_SIMPLIFY_TOLERANCE_MM), "patella marrow"),
@@ -171,10 +172,10 @@ def build_patella(bone_parameters: BoneParameters) -> Bone:
 
 
 def _make_patella_inset(table: PatellaShape, cortex: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """Make a function that gives the inset of patellar sections by height, mm.
+    """Make a function that maps heights (n,), in mm, to the inset (n,) of patellar sections, in mm.
 
-    The inset is the cortex, and more where the outline is nearly horizontal: there an inset to the sides leaves little
-    bone above and below.
+    The inset equals the cortical thickness. It is larger where the outline is nearly horizontal, because a horizontal
+    inset leaves little cortex above and below the trabecular bone.
     """
     rows = scale_sections(table.sections, 1.0)
     rows = rows[np.argsort(rows[:, 0])]
@@ -184,7 +185,8 @@ def _make_patella_inset(table: PatellaShape, cortex: Callable[[Array], Array]) -
         here, taken_mm = outline(z_mm), cortex(z_mm)
         for way in (-_DRAWN_IN_MM, _DRAWN_IN_MM):
             change = outline(z_mm + way) - here
-            # Half widths and centres are compared on the same axis; the columns of the centres are in reverse order.
+            # Half widths and centres of the same axis are compared, so the two centre columns are taken in reverse
+            # order.
             less_mm = np.abs(change[:, [3, 2]]) - change[:, :2]
             taken_mm = np.maximum(taken_mm, less_mm.max(axis=1))
         return taken_mm
@@ -200,7 +202,7 @@ def _loft_patella(table: PatellaShape, inset: Callable[[Array], Array], heights:
 def place_patella(knee: Knee, bone_parameters: BoneParameters, patella: Manifold, femur: Manifold, pose: Pose) -> Array:
     """Place the patella in front of the femur.
 
-    The patellar tendon gets the length that the Insall-Salvati index gives. The cartilage of both bones fills the gap
+    The Insall-Salvati index determines the length of the patellar tendon. The cartilage of both bones fills the gap
     between patella and femur, measured along the antero-posterior axis of the patella.
 
     Parameters
@@ -230,7 +232,7 @@ def place_patella(knee: Knee, bone_parameters: BoneParameters, patella: Manifold
     tilt = rotation_matrix(2, -knee.patellar_tilt_deg)
     points = extract_mesh(patella).vertices @ tilt.T
     apex, tendon_mm = points[:, 2].argmin(), knee.insall_salvati * np.ptp(points[:, 2])
-    # The calculation uses axes parallel to those of the patella and the origin of the femur.
+    # The calculation uses a frame with the axes of the patella and the origin of the femur.
     facing, to_leg = rotation_matrix(0, -_PATELLAR_LAG_FRACTION * pose.flexion_deg), pose.femur_to_tibia_transform()
     below = np.array(bone_parameters.shape.patellar_tendon.tuberosity) * s + [0.0, 0.0, table.tendon_end_mm * s]
     below = facing @ to_leg[:, :3].T @ (below - to_leg[:, 3])
@@ -245,7 +247,7 @@ def place_patella(knee: Knee, bone_parameters: BoneParameters, patella: Manifold
 
     def depth_mm(height_mm: float) -> float:
         """Compute the antero-posterior position of the patella at a height, mm."""
-        # The gap between both bones is nan beside the femur; where it is smallest, the cartilage is thinner.
+        # The gap is nan where no femur is behind the patella. Where the gap is smallest, the cartilage is thinner.
         space = front((behind + np.array([across, 0.0, height_mm]))[:, [0, 2]]) - behind[:, 1]
         if np.isnan(space).mean() > _MOST_BESIDE:
             raise InputError(
@@ -256,7 +258,7 @@ def place_patella(knee: Knee, bone_parameters: BoneParameters, patella: Manifold
         return min(near - table.gap_to_femur_mm, float(np.nanmin(space)) - table.gap_to_femur_mm * _LEAST_SHARE)
 
     def too_far_mm(height_mm: float) -> float:
-        """Compute the distance from apex to tuberosity beyond the length of the tendon at a height, mm."""
+        """Compute by how much the distance from apex to tuberosity exceeds the length of the tendon, mm."""
         forward = points[apex, 1] + depth_mm(height_mm) - below[1]
         return float(np.hypot(forward, points[apex, 2] + height_mm - below[2]) - tendon_mm)
 
@@ -269,9 +271,9 @@ def place_patella(knee: Knee, bone_parameters: BoneParameters, patella: Manifold
 
 
 def _fit_femur_front(femur: Manifold, facing: Array, between_mm: Array) -> LinearNDInterpolator:
-    """Fit the front of the rotated femur: positions (n, 2) x and z to (n,) y, mm.
+    """Fit the anterior surface of the rotated femur as a function of x and z (n, 2) with values y (n,), mm.
 
-    `between_mm` (2,) limits the surface in x.
+    `between_mm` (2,) is the range of x in which the surface is fitted.
     """
     mesh = extract_mesh(femur)
     faces = mesh.faces[mesh.vertices[mesh.faces[:, 0], 2] < _FRONT_BELOW_MM]

@@ -1,7 +1,7 @@
 """Labels of a radiograph that shows the knee in a lateral or axial view.
 
-JSW and contour landmarks exist only in frontal views. The labels here are points on the bones, including
-osteophytes, which project in every view:
+JSW and contour landmarks exist only in frontal views. The labels in this module are points on the bones, including
+osteophytes. They are projected in every view:
 
 ``joint_centre``
     Origin of the knee frame: centre of the joint line between both plateaus.
@@ -32,7 +32,7 @@ from ..outlines.projected_contours import compute_outline_rows
 from ..posture.knee_assembly import KneeAssembly
 from ..posture.plateau_margins import SIDE_SIGNS, find_plateau_margins
 
-# The trochlea lies within this fraction of half the plateau width from the centre (assumed).
+# Largest distance of the trochlea from the centre, as a fraction of half the plateau width (assumed).
 _TROCHLEA_FRACTION = 0.75
 
 
@@ -46,7 +46,7 @@ def measure_lateral_axial_labels(knee: Knee, assembly: KneeAssembly, bones: dict
     assembly : KneeAssembly
         Bones of the knee in their pose.
     bones : dict of str to Bone
-        Solids of each bone in the frame of the leg, before it is rotated and mirrored for the view.
+        Solids of each bone in the frame of the leg, before rotation and mirroring for the view.
     view : View
         Source and detector.
 
@@ -70,7 +70,7 @@ def measure_lateral_axial_labels(knee: Knee, assembly: KneeAssembly, bones: dict
 
 
 def find_bone_landmarks_mm(assembly: KneeAssembly, outer: dict[str, Mesh]) -> dict[str, Array]:
-    """Find landmarks on the bones that project in every view.
+    """Find the landmarks on the bones that are projected in every view.
 
     Parameters
     ----------

@@ -23,11 +23,13 @@ from ..outlines.projected_contours import (
 )
 from ..posture.knee_assembly import KneeAssembly
 
-# JSW(x) is measured at these fractions of the femoral width from its medial edge (Neumann et al. 2009). The width is
-# that of the femur, as CFWDTH in the table of the Osteoarthritis Initiative. It is measured between the epicondyles,
-# which osteophytes do not move (assumed). The fractions then cover the range in which the minimum JSW is searched.
+# Positions x at which JSW(x) is measured, as fractions of the femoral width from the medial edge (Neumann et al. 2009).
+# The femoral width corresponds to CFWDTH in the tables of the Osteoarthritis Initiative. It is measured between the
+# epicondyles, which osteophytes do not move (assumed). With this width, the fractions cover the range in which the
+# minimum JSW is searched.
 JSW_FRACTIONS = (0.15, 0.175, 0.2, 0.225, 0.25, 0.275, 0.3, 0.7, 0.725, 0.75, 0.775, 0.8, 0.825, 0.85, 0.875, 0.9)
-# Range of JSW(x) in fractions of half the plateau width. It includes femurs that overhang the edge of the plateau.
+# Range in which JSW(x) is measured, in fractions of half the plateau width. It allows for femurs that overhang the edge
+# of the plateau.
 _JSW_FRACTION_RANGE = (0.2, 1.0)
 # Height range in which the edges of the condyles are searched, in mm at template size in the frame of the femur.
 _CONDYLES = (1.0, 12.0)
@@ -35,9 +37,9 @@ _CONDYLES = (1.0, 12.0)
 _EPICONDYLES = (22.0, 42.0)
 # Height range in which the edges of the plateau are searched, in mm at template size in the frame of the tibia.
 _PLATEAU = (-9.0, 1.0)
-# Bone that protrudes by more than this from the surface without osteophytes belongs to an osteophyte, in mm.
+# Smallest protrusion from the surface without osteophytes at which bone belongs to an osteophyte, in mm.
 _MIN_OSTEOPHYTE_MM = 0.05
-# Landmarks of the joint space: its centre in each compartment, the centre of both, and the ends of the minimum JSW.
+# Joint space landmarks: the centre of each compartment, the mean of the two centres, and the ends of the minimum JSW.
 _JOINT_LANDMARKS = (
     "medial_joint_line", "lateral_joint_line", "joint_centre",
     "medial_jsw_femur", "medial_jsw_tibia", "lateral_jsw_femur", "lateral_jsw_tibia",
@@ -54,7 +56,7 @@ def measure_labels(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View)
     assembly : KneeAssembly
         Bones of the knee in their pose.
     scene : Scene
-        Surfaces of the knee, of which the outer femur and tibia are used.
+        Surfaces of the knee. Only the outer surfaces of femur and tibia are used.
     view : View
         Source and detector of a frontal view.
 
@@ -86,7 +88,7 @@ def measure_jsw_mm(knee: Knee, assembly: KneeAssembly, scene: Scene, view: View)
     assembly : KneeAssembly
         Bones of the knee in their pose.
     scene : Scene
-        Surfaces of the knee, of which the outer femur and tibia are used.
+        Surfaces of the knee. Only the outer surfaces of femur and tibia are used.
     view : View
         Source and detector of a frontal view.
 
@@ -105,14 +107,14 @@ def build_osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mes
     Parameters
     ----------
     knee : Knee
-        Parameters of the knee, which list its osteophytes.
+        Parameters of the knee, including its osteophytes.
     assembly : KneeAssembly
         Bones of the knee in their pose.
 
     Returns
     -------
     dict of str to Mesh
-        Closed surface per site in the knee frame, in mm. It holds bone that protrudes by more than 0.05 mm.
+        Closed surface per site in the knee frame, in mm. It contains the bone that protrudes by more than 0.05 mm.
     """
     build = assembly.bone_parameters
     bones = (
@@ -125,8 +127,8 @@ def build_osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mes
         if not sites:
             continue
         bare = project_solid(mean.outer, mean.field, depth_mm=lambda points: np.full(len(points), -_MIN_OSTEOPHYTE_MM))
-        # Move both solids before the subtraction. The cuts then stay on the moved triangles, and the osteophyte
-        # stays within its bone.
+        # Both solids are moved before the subtraction. The cuts are therefore on the moved triangles, and the
+        # osteophyte stays within its bone.
         outer, bare = (_warp_solid(solid, move) for solid in (grown.outer, bare))
         tips = move(np.array([shape.tip for shape in grown.shapes]))
         for site, added in _split_by_site(outer - bare, sites, tips).items():
@@ -140,10 +142,10 @@ def _warp_solid(solid: Manifold, move: Callable[[Array], Array]) -> Manifold:
 
 
 def _split_by_site(added: Manifold, sites: list[str], tips: Array) -> dict[str, Manifold]:
-    """Assign the bone that osteophytes add to the site of the nearest tip.
+    """Split the bone added by osteophytes into one solid per site; each connected component belongs to the nearest tip.
 
-    `tips` (n, 3) are the tips of the osteophytes at `sites`. A piece that has grown together from several sites,
-    such as both tibial spines, is cut half way between their tips.
+    `tips` (n, 3) are the tips of the osteophytes at `sites`. A component that joins several sites, such as both tibial
+    spines, is cut halfway between their tips.
     """
     pieces: dict[str, list[Manifold]] = {site: [] for site in sites}
     for piece in added.decompose():
@@ -158,7 +160,7 @@ def _split_by_site(added: Manifold, sites: list[str], tips: Array) -> dict[str, 
 
 
 def _trim_to_nearest_tip(piece: Manifold, tip: Array, others: Array) -> Manifold:
-    """Trim a piece to the part that is nearer to its tip (3,) than to the other tips (n, 3)."""
+    """Trim a connected component to the part that is nearer to `tip` (3,) than to the other tips (n, 3)."""
     for other in others:
         way = (tip - other) / np.linalg.norm(tip - other)
         piece = piece.trim_by_plane(way, way @ (tip + other) / 2)
@@ -189,7 +191,7 @@ def _select_outer_meshes(scene: Scene) -> tuple[Mesh, Mesh]:
 def _find_landmarks_on_contours(
     knee: Knee, assembly: KneeAssembly, scene: Scene, view: View
 ) -> dict[str, tuple[float, float]]:
-    """Find the sixteen contour landmarks and repeat ``notch_top`` under its older name ``notch``."""
+    """Find the sixteen contour landmarks, and add ``notch_top`` a second time under its older name ``notch``."""
     spots = find_contour_landmarks(*_select_outer_meshes(scene), view, _medial_sign(knee), _lean_deg(knee, assembly))
     return {**spots, "notch": spots["notch_top"]}
 
@@ -205,9 +207,9 @@ def _find_joint_line_landmarks(gaps: tuple[Gap, Gap], view: View, lean_deg: floa
 def _measure_jsw_at_mm(
     edges: dict[str, tuple[float, float]], gaps: tuple[Gap, Gap], view: View, lean_deg: float
 ) -> dict[float, float]:
-    """Measure JSW(x) by the fraction of the femoral width from the medial epicondyle.
+    """Measure JSW(x) at fixed fractions of the femoral width from the medial epicondyle.
 
-    `edges` holds the epicondyles from `_find_widest_px`. `gaps` are the medial and lateral joint space.
+    `edges` contains the epicondyles from `_find_widest_px`. `gaps` are the medial and lateral joint space.
     """
     epicondyles = np.array([edges["medial_epicondyle"], edges["lateral_epicondyle"]])
     medial, lateral = rotate_px(epicondyles, view, -lean_deg)[:, 1]

@@ -1,9 +1,9 @@
-"""Labels of a knee after surgery, without those that implants or resections make meaningless.
+"""Labels of a knee after surgery, without labels that implants or resections make meaningless.
 
-A landmark is kept if the remaining bones give the same position as the intact bones. The JSW of a side is absent
-in a view in which its contours have changed or an implant covers them. A side counts as replaced if surgery has
-changed the contours on which its JSW is defined. The readings of a replaced side and the grade of the knee are then
-absent in every view.
+A landmark is kept if the remaining bones give the same position as the intact bones. The JSW of the medial or lateral
+side is absent in a view if its contours have changed or an implant covers them. A side counts as replaced if surgery
+has changed the contours that define its JSW. The readings of a replaced side and the grade of the knee are absent in
+every view.
 """
 
 import warnings
@@ -32,9 +32,9 @@ from ..surgery import SurgicalMethods
 from .radiograph_labels import find_widest_points_mm
 
 SIDES = ("medial", "lateral")
-# Contours that differ by no more than this on the detector are equal, in pixels.
+# Largest difference on the detector between contours that count as equal, in pixels.
 _TOLERANCE_PX = 1e-6
-# A landmark is lost if a surgical step intersects a cube with this edge around it, in mm.
+# Edge length of a cube around a landmark, in mm. The landmark is absent if a surgical step intersects the cube.
 _LANDMARK_BOX_MM = 0.01
 # Letters that denote side and bone in the names of OARSI readings, such as XROSFM.
 _OARSI_LETTERS = {"medial": "M", "lateral": "L", "femur": "F", "tibia": "T"}
@@ -57,7 +57,7 @@ def compute_labels_after_surgery(built: SurgicalMethods, view: View) -> Truth:
     Returns
     -------
     Truth
-        Labels; those that surgery makes meaningless are None or absent.
+        Labels. Labels that surgery makes meaningless are None or absent.
 
     Warns
     -----
@@ -121,7 +121,7 @@ def find_replaced_sides(built: SurgicalMethods) -> list[str]:
 
 
 def find_lost_joint_spaces(built: SurgicalMethods, view: View) -> list[str]:
-    """Find the sides whose JSW a view does not show because surgery has changed or covered its contours.
+    """Find the sides whose JSW cannot be measured in a view because surgery has changed or covered the contours.
 
     Parameters
     ----------
@@ -160,7 +160,7 @@ def require_visible_bone(built: SurgicalMethods, sides: list[str], what: str) ->
     sides : list of str
         Sides on which bones are changed or covered.
     what : str
-        Name of the measurement for the error message.
+        Name of the measured structure in the error message.
 
     Raises
     ------
@@ -177,9 +177,9 @@ def require_visible_bone(built: SurgicalMethods, sides: list[str], what: str) ->
 
 @dataclass(frozen=True)
 class _BoneContours:
-    """Contours of femur and tibia of a built knee with the given bones in a view.
+    """Projected contours of femur and tibia of a built knee, for the given bones and view.
 
-    If `in_leg_frame` is True the view shows the leg before it is rotated and mirrored.
+    If `in_leg_frame` is True, the leg is projected before it is rotated and mirrored.
     """
 
     built: SurgicalMethods
@@ -198,7 +198,10 @@ class _BoneContours:
         return self.built.assembly.pose.lean_deg * self.medial_sign
 
     def measure_side_gap(self, side: str, *, floor: bool = False) -> Gap:
-        """Measure the joint space of a side; with `floor`, down to the floor of the plateau, as readers measure it."""
+        """Measure the joint space of the medial or lateral side.
+
+        If `floor` is True, the gap extends to the floor of the plateau, as readers measure it.
+        """
         meshes = [extract_mesh(self.bones[name].outer) for name in ("femur", "tibia")]
         femur, tibia = meshes if self.in_leg_frame else map(self.built.assembly.orient_mesh, meshes)
         sign = self.medial_sign if side == "medial" else -self.medial_sign
@@ -211,7 +214,7 @@ class _BoneContours:
         return measure_gap(_list_vertices_and_edges(femur), upper, self.view, sign, half, self.lean_deg)
 
     def has_same_gap(self, other: "_BoneContours", side: str) -> bool:
-        """Report whether both have equal contours along the joint space of a side."""
+        """Test whether the contours of two sets of bones are equal along the joint space of a side."""
         for floor in {False, self.built.knee.jsw_definition == "read"}:
             try:
                 one, two = (contours.measure_side_gap(side, floor=floor) for contours in (self, other))
@@ -223,7 +226,10 @@ class _BoneContours:
         return True
 
     def is_covered(self, body: Mesh, side: str) -> bool:
-        """Report whether a connected body, in the frame of the view, covers the joint space of a side."""
+        """Test whether a connected component of an implant covers the medial or lateral joint space.
+
+        `body` is the surface of the component in the frame of the view, in mm.
+        """
         gap = self.measure_side_gap(side)
         finer = round(1 / (gap.columns_px[1] - gap.columns_px[0]))
         seen = rotate_px(project_points(body.vertices, self.view), self.view, -self.lean_deg) * (1, finer)
@@ -233,7 +239,7 @@ class _BoneContours:
 
 
 def _compute_labels(built: SurgicalMethods, bones: Mapping[str, Bone], view: View) -> Truth:
-    """Compute the labels of a knee as if it had the given bones."""
+    """Compute the labels of a knee whose bones are replaced by the given bones."""
     outer = {name: built.assembly.orient_mesh(extract_mesh(bones[name].outer)) for name in ("femur", "tibia")}
     scene = Scene([Surface(mesh, "cortical_bone", "muscle", name) for name, mesh in outer.items()])
     return built.compute_labels(scene, dict(bones), view)
@@ -242,10 +248,10 @@ def _compute_labels(built: SurgicalMethods, bones: Mapping[str, Bone], view: Vie
 def _select_unchanged_landmarks(
     built: SurgicalMethods, truth: Truth, altered: Truth, view: View
 ) -> dict[str, tuple[float, float]]:
-    """Select the landmarks whose position on the bones remains after surgery."""
+    """Select the landmarks whose positions surgery has not changed."""
     gone = set()
     if built.assembly.posture.is_frontal:
-        # These landmarks are found on the bones without osteophytes, which surgery does not cut. Test their positions.
+        # The widest points are found on bones before surgery, so their positions are tested against the surgical steps.
         for name, place_mm in find_widest_points_mm(built.knee, built.assembly, view).items():
             about = Manifold.cube((_LANDMARK_BOX_MM,) * 3, True).translate(tuple(place_mm))
             if any(not (about ^ step.solid).is_empty() for step in built.surgery):
@@ -259,7 +265,7 @@ def _select_unchanged_landmarks(
 
 
 def _find_cut_sites(built: SurgicalMethods) -> set[str]:
-    """Find the osteophytes and cysts that surgery has cut, as ``<site>_osteophyte`` and ``<site>_cyst``."""
+    """Find the osteophytes and cysts that surgery has cut, named ``<site>_osteophyte`` and ``<site>_cyst``."""
     cut = set()
     for kind, meshes in (("osteophyte", built.osteophyte_meshes()), ("cyst", built.cyst_meshes())):
         for site, mesh in meshes.items():
@@ -272,10 +278,10 @@ def _find_cut_sites(built: SurgicalMethods) -> set[str]:
 
 
 def _is_reading_lost(name: str, replaced: list[str], cut_sites: set[str]) -> bool:
-    """Report whether surgery makes a reading meaningless."""
+    """Test whether surgery makes a reading meaningless."""
     if name == "XRKL" and replaced:
         return True
-    # The last letter is the side: XROSFM grades the osteophytes of the medial femur.
+    # The last letter of a reading denotes the side: XROSFM grades the osteophytes of the medial femur.
     of_side = {_OARSI_LETTERS[side] for side in replaced}
     if name.startswith("XR") and name != "XRKL" and name[-1] in of_side:
         return True
@@ -288,7 +294,7 @@ def _is_reading_lost(name: str, replaced: list[str], cut_sites: set[str]) -> boo
 
 
 def _is_unchanged(value: float, other: float | None) -> bool:
-    """Report whether both values exist and are equal within the tolerance."""
+    """Test whether both values exist and are equal within the tolerance."""
     return other is not None and bool(np.isclose(value, other, rtol=0, atol=_TOLERANCE_PX))
 
 
@@ -298,7 +304,7 @@ def _list_vertices_and_edges(mesh: Mesh) -> tuple[Array, Indices]:
 
 
 def _split_into_bodies(faces: Faces, count: int) -> list[Faces]:
-    """Split faces (m, 3) into those of each connected body of a mesh with `count` vertices."""
+    """Split the faces (m, 3) of a mesh with `count` vertices by connected component."""
     body, number = label_bodies(faces, count)
     return [faces[body[faces[:, 0]] == one] for one in range(number)]
 
@@ -311,5 +317,5 @@ def _warn_absent_labels(replaced: list[str], hidden: list[str]) -> None:
         warnings.warn(f"{message}; use knee.jsw_{replaced[0]}_mm for the specified JSW", SurgeryNotice, stacklevel=4)
     if hidden:
         what = " and ".join(hidden)
-        message = f"an implant covers the {what} joint space in this view; the labels have no JSW there"
+        message = f"an implant covers the {what} joint space in this view; the labels have no JSW of this joint space"
         warnings.warn(f"{message}; move the implant or change the view to measure it", SurgeryNotice, stacklevel=4)

@@ -10,7 +10,7 @@ from ...data.table_records import Rows
 from ...geometry.mesh import Indices, Mesh
 from .solids import loft
 
-# Number of directions in which the extent of a bone is measured, so also of corners per ring.
+# Number of directions in which the extent of a bone is measured; it is also the number of corners per ring.
 _DIRECTIONS = 16
 # Largest height of a band between two rings, mm.
 _STEP_MM = 5.0
@@ -31,7 +31,7 @@ def build_envelope(meshes: list[Mesh], margin_mm: Rows, name: str, max_height_mm
     name : str
         Name of the solid in error messages.
     max_height_mm : float
-        Parts of the meshes above this height or below its negative are left out, in mm.
+        Largest distance from z = 0 along z, in mm; parts of the meshes beyond this distance are ignored.
 
     Returns
     -------
@@ -45,8 +45,9 @@ def build_envelope(meshes: list[Mesh], margin_mm: Rows, name: str, max_height_mm
 
     Notes
     -----
-    The heights are divided into bands of at most 5 mm. Every face that meets a band lies inside the rings at both ends
-    of that band. The walls between two rings are planes, so the band encloses these faces too. Concavities are filled.
+    The heights are divided into bands of at most 5 mm. Every face that intersects a band is inside the rings at both
+    ends of this band. The walls between two rings are planar, so the envelope encloses the face between the rings too.
+    Concavities are filled.
     """
     low = max(-max_height_mm, min(mesh.vertices[:, 2].min() for mesh in meshes))
     high = min(max_height_mm, max(mesh.vertices[:, 2].max() for mesh in meshes))
@@ -65,7 +66,7 @@ def build_envelope(meshes: list[Mesh], margin_mm: Rows, name: str, max_height_mm
 
 
 def _close_ends(rings: Array, margins: Array) -> Array:
-    """Add a smaller ring beyond either end of the rings (levels, directions, 3), one margin away."""
+    """Add a smaller ring beyond each end of the rings (levels, directions, 3), at a distance of one margin."""
     ends = []
     for ring, up in ((rings[0], -margins[0]), (rings[-1], margins[-1])):
         middle = ring.mean(axis=0)
@@ -74,13 +75,13 @@ def _close_ends(rings: Array, margins: Array) -> Array:
 
 
 def _compute_supports(mesh: Mesh, levels: Array, normals: Array) -> Array:
-    """Compute how far the faces in each band reach in each direction, mm.
+    """Compute the extent of the faces of each band in each direction, mm.
 
     The result (bands, directions) is -inf where a band contains no face.
     """
     heights = mesh.vertices[mesh.faces, 2]
     lowest, highest = heights.min(axis=1), heights.max(axis=1)
-    # A face that ends exactly on a level belongs to the bands on both sides of it.
+    # A face that ends exactly on a level belongs to the bands above and below this level.
     first = np.searchsorted(levels, lowest, side="left") - 1
     last = np.searchsorted(levels, highest, side="right") - 1
     reach = np.ascontiguousarray(mesh.vertices[:, :2] @ normals.T)
@@ -91,10 +92,10 @@ def _compute_supports(mesh: Mesh, levels: Array, normals: Array) -> Array:
 
 @kernel()
 def _raise_supports(supports: Array, faces: Indices, reach: Array, first: Indices, last: Indices) -> None:
-    """Raise the supports (bands, directions) to the reach of each face in the bands that it meets.
+    """Raise the extents (bands, directions) to the extent of each face in all bands that the face intersects.
 
-    `faces` (m, 3) holds vertex numbers, `reach` (vertices, directions) is in mm, `first` and `last` (m,) are the
-    lowest and highest band of each face.
+    `faces` (m, 3) are vertex numbers. `reach` (vertices, directions) is the extent of each vertex, in mm. `first` and
+    `last` (m,) are the lowest and the highest band of each face.
     """
     for k in range(len(faces)):
         if first[k] > last[k]:
@@ -106,7 +107,7 @@ def _raise_supports(supports: Array, faces: Indices, reach: Array, first: Indice
 
 
 def _compute_corners(supports: Array, angle: Array, levels: Array) -> Array:
-    """Compute the corners (levels, directions, 3) at which neighbouring support lines of each ring intersect, mm."""
+    """Compute the ring corners (levels, directions, 3), where neighbouring support lines intersect, mm."""
     step = angle[1] - angle[0]
     after = np.roll(supports, -1, axis=1)
     along = (after - supports * np.cos(step)) / np.sin(step)

@@ -26,34 +26,34 @@ from .solids import (
 # Maps vertices (n, 3), in mm, to booleans (n,).
 VertexSelector = Callable[[Array], NDArray[np.bool_]]
 
-# Smoothing rounds for the mesh of a whole bone.
+# Number of smoothing rounds for the mesh of a whole bone.
 _ROUNDS = 6
-# Rounds of edge splitting where a whole bone is curved.
+# Largest number of edge-splitting rounds for the mesh of a whole bone.
 _SPLITS = 4
 # Distance from z = 0 at which the shaft of a whole bone begins, mm.
 _SHAFT_FROM_MM = 70.0
-# Rings of vertices around the movable ones that may move too while inverted faces at the border are flattened.
+# Number of vertex rings around the movable vertices that may also move while inverted faces are flattened.
 _BORDER_RINGS = 8
-# Faces beyond this height need no repair, because shafts are cut off before it, mm.
+# Largest distance from z = 0 at which faces are repaired, mm. Shafts are cut off at a smaller distance.
 _USED_MM = 200.0
-# Attempts to flatten inverted faces, each with a wider neighbourhood.
+# Number of attempts to flatten inverted faces, each with a wider neighbourhood.
 _STARTS = 5
-# Turns per attempt.
+# Number of rounds per attempt.
 _TURNS = 5
-# Smoothing iterations per turn.
+# Number of smoothing iterations per round.
 _FLATTENINGS = 10
 # Radius of the neighbourhood of a tip, mm.
 _TIP_MM = 4.0
 # Largest distance of an edge midpoint from the field surface near a tip, mm.
 _TIP_TOLERANCE_MM = 0.02
-# Rounds of edge splitting near a tip.
+# Largest number of edge-splitting rounds near a tip.
 _TIP_SPLITS = 3
-# A tip that is this far from the nearest triangle is inserted as a vertex, mm.
+# Smallest distance from the nearest triangle at which a tip is inserted as a vertex, mm.
 _CUT_MM = 1e-4
 
 
 def refine_bone(solid: Manifold, edge_mm: float, shaft_from_mm: float) -> Manifold:
-    """Refine a solid to a maximum edge length, with edges up to four times as long along the shaft.
+    """Refine a solid to a maximum edge length, and the shaft to four times this edge length along z.
 
     Parameters
     ----------
@@ -86,12 +86,12 @@ def refine_bone(solid: Manifold, edge_mm: float, shaft_from_mm: float) -> Manifo
 def mesh_bone(
     csg_solid: Manifold, field: ScalarField, edge_mm: float, tolerances_mm: Sequence[float]
 ) -> list[Manifold]:
-    """Mesh a bone on its distance field, evenly and finer where it is curved, once per tolerance.
+    """Mesh a bone on its distance field once per tolerance, with finer triangles where the bone is curved.
 
     Parameters
     ----------
     csg_solid : Manifold
-        The same bone as a Boolean combination of parts, with hard creases.
+        The same bone as a Boolean combination of parts, with sharp creases.
     field : callable
         Distance field of the bone: points (n, 3), in mm, to values (n,), in mm.
     edge_mm : float
@@ -113,7 +113,7 @@ def mesh_bone(
         *laplacian_smooth(extract_mesh(refine_bone(csg_solid, edge_mm, _SHAFT_FROM_MM)), field, _ROUNDS),
         "smoothed bone",
     )
-    # Simplification removes about a tenth of the triangles, those in flat regions.
+    # Simplification removes about a tenth of the triangles, all in flat regions.
     return [
         refine_to_tolerance(even, field, tolerance_mm, _SPLITS).simplify(0.4 * tolerance_mm)
         for tolerance_mm in tolerances_mm
@@ -134,13 +134,13 @@ def laplacian_smooth(
     mesh : Mesh
         Closed mesh near the surface of the field, vertices (n, 3) in mm.
     field : callable
-        Distance field: points (n, 3), in mm, to values (n,), in mm.
+        Distance field; maps points (n, 3), in mm, to signed distances (n,), in mm.
     rounds : int
         Number of smoothing rounds.
     select_movable : callable or None
-        Maps vertices (n, 3) to booleans (n,): True where a vertex may move. None means that all may move.
+        Maps vertices (n, 3) to booleans (n,): True where a vertex may move. None means that all vertices may move.
     tips : sequence of (3,) float64 array
-        Points of the field surface, in mm, that a coarse mesh would cut off. The mesh gets a vertex at each of them.
+        Points of the field surface, in mm, that a coarse mesh would cut off. A vertex is inserted at each tip.
 
     Returns
     -------
@@ -149,7 +149,8 @@ def laplacian_smooth(
     """
     all_places, all_faces = np.array(mesh.vertices), np.asarray(mesh.faces)
     may_move = np.ones(len(all_places), np.bool_) if select_movable is None else select_movable(all_places)
-    # Inverted faces at the border need space beyond it to be flattened. The rest, most of a bone, stays untouched.
+    # Flattening inverted faces at the border also moves vertices beyond the border. The rest of the bone stays
+    # unchanged.
     with_border = dilate_rings(may_move, all_faces, _BORDER_RINGS)
     touched = with_border[all_faces].any(axis=1)
     used, numbers = np.unique(all_faces[touched], return_inverse=True)
@@ -181,7 +182,7 @@ def build_neighbour_averaging(faces: Indices, count: int) -> csr_array:
     Returns
     -------
     (count, count) csr_array
-        Multiplied by values at the vertices, it gives the mean over the vertices that share an edge with each.
+        Matrix that maps vertex values to the mean value of the vertices that share an edge with each vertex.
     """
     ends = np.vstack((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
     beside = coo_array((np.ones(len(ends)), ends.T), shape=(count, count)).tocsr()
@@ -220,7 +221,7 @@ def _find_nearest_face(places: Array, faces: Indices, tip: Array) -> tuple[int, 
 
 def _compute_triangle_distances_mm(triangles: Array, point: Array) -> Array:
     """Compute the distances (n,) of a point (3,) from triangles (n, 3, 3), mm."""
-    # trimesh offers this too, but importing it takes a quarter of a second.
+    # trimesh offers this function too, but importing trimesh takes a quarter of a second.
     sides, away = np.roll(triangles, -1, axis=1) - triangles, point - triangles
     along = np.clip((away * sides).sum(axis=2) / np.maximum((sides**2).sum(axis=2), 1e-300), 0.0, 1.0)
     beside = np.sqrt(((away - along[..., None] * sides) ** 2).sum(axis=2)).min(axis=1)
@@ -242,12 +243,13 @@ def _fix_inverted_faces(
     field: ScalarField,
     has_moved: NDArray[np.bool_] | None = None,
 ) -> tuple[Array, Indices]:
-    """Flatten faces that point inwards, by flipping edges of slivers and by smoothing around the remaining ones.
+    """Flatten faces that point inwards: flip edges of slivers, then smooth around the remaining inverted faces.
 
-    Edge flips come first. Each attempt then smooths a patch around the inverted faces and widens it turn by turn. A
-    narrow patch around a tip would leave no space to move. The vertices with the fewest inverted faces are kept, and
-    the next attempt starts from them with a wider patch. Edge flips come last too. `movable` (n,) marks vertices that
-    may move. `has_moved` (n,) marks those whose faces may be inverted; None means the movable ones.
+    Edges are flipped first. Each attempt then smooths a patch around the inverted faces and widens the patch in every
+    round. Vertices in a narrow patch around a tip have no space to move. The vertices with the fewest inverted faces
+    are kept, and the next attempt starts from these vertices with a wider patch. Finally, edges are flipped again.
+    `movable` (n,) marks vertices that may move. `has_moved` (n,) marks vertices whose faces may be inverted; None means
+    the movable vertices.
     """
     best, faces, fewest, used = _repair_slivers(places, faces, movable, field, has_moved)
     if not len(fewest):
@@ -262,7 +264,7 @@ def _fix_inverted_faces(
             around[folded] = True
             around = movable & dilate_rings(around, faces, rings + turn)
             laid[around] = _relax_around_fold(laid, around, neighbour_mean_matrix[around], field)
-            suspect = used[around[used].any(axis=1)]  # all other faces are known to point outwards and have not moved
+            suspect = used[around[used].any(axis=1)]  # All other faces point outwards and have not moved.
             folded = suspect[_is_facing_inwards(laid[suspect], field)]
             if len(folded) < len(fewest):
                 best, fewest = laid.copy(), folded
@@ -276,9 +278,9 @@ def _repair_slivers(
     field: ScalarField,
     has_moved: NDArray[np.bool_] | None = None,
 ) -> tuple[Array, Indices, Indices, Indices]:
-    """Flip edges of inverted slivers; return vertices, faces, faces still inverted and all candidate faces.
+    """Flip edges of inverted slivers; return vertices, all faces, faces still inverted and candidate faces.
 
-    The last two hold only faces with a movable corner.
+    Inverted faces and candidate faces have at least one movable corner.
     """
     used = _select_movable_faces(places, faces, movable)
     suspect = used if has_moved is None else used[has_moved[used].any(axis=1)]
@@ -286,7 +288,7 @@ def _repair_slivers(
     if not len(folded):
         return places, faces, folded, used
     faces, folded = _flip_edges(places, faces, folded, field)
-    # A corner shared by only three triangles moves to the mean of their other corners, where none can be inverted.
+    # A corner shared by only three triangles moves to the mean of the other corners, where no triangle can be inverted.
     lonely = [corner for corner in np.unique(folded) if movable[corner] and (faces == corner).sum() == 3]
     places = places.copy()
     for corner in lonely:
@@ -306,19 +308,19 @@ def _select_movable_faces(places: Array, faces: Indices, movable: NDArray[np.boo
 
 
 def _flip_edges(places: Array, faces: Indices, folded: Indices, field: ScalarField) -> tuple[Indices, Indices]:
-    """Flip edges between inverted faces (k, 3) and their neighbours where the new pair points outwards.
+    """Flip edges between inverted faces (k, 3) and their neighbours if both new faces point outwards.
 
-    Returns all faces and those that stay inverted.
+    Return all faces and the faces that stay inverted.
     """
     all_faces, mended = faces.copy(), np.zeros(len(folded), np.bool_)
-    # Every face that matters here shares a corner with an inverted one.
+    # Only faces that share a corner with an inverted face can change.
     touched = np.zeros(len(places), np.bool_)
     touched[folded] = True
     about = touched[faces].any(axis=1)
     faces = faces[about]
     for number, corners in enumerate(folded):
         still = np.flatnonzero((faces == corners).all(axis=1))
-        mended[number] = not len(still)  # already changed, as the neighbour of another inverted face
+        mended[number] = not len(still)  # A face is missing if it was changed as the neighbour of another face.
         if mended[number]:
             continue
         mine = int(still[0])
@@ -326,7 +328,7 @@ def _flip_edges(places: Array, faces: Indices, folded: Indices, field: ScalarFie
             one, two, mine_far = np.roll(corners, -turn)
             both = np.flatnonzero((faces == one).any(axis=1) & (faces == two).any(axis=1))
             if len(both) < 2:
-                continue  # an edge at the border of the selected faces
+                continue  # The edge is at the border of the selected faces.
             across = int(both[both != mine][0])
             its_far = next(corner for corner in faces[across] if corner not in (one, two))
             pair = np.array([[one, its_far, mine_far], [its_far, two, mine_far]])
@@ -363,7 +365,7 @@ def refine_to_tolerance(solid: Manifold, field: ScalarField, tolerance_mm: float
     solid : Manifold
         Solid whose vertices are on the surface of the field.
     field : callable
-        Distance field: points (n, 3), in mm, to values (n,), in mm.
+        Distance field; maps points (n, 3), in mm, to signed distances (n,), in mm.
     tolerance_mm : float
         Maximum distance of an edge midpoint from the surface, in mm.
     rounds : int

@@ -8,13 +8,13 @@ import numpy as np
 from ...core.checks import Array
 
 # Largest external rotation of the femur on the tibia, degrees. Most of it, 5 to 10 degrees, occurs in the first 30
-# degrees of flexion (Johal et al. 2005, from memory). In fixed-flexion radiographs of patients, the fibula is therefore
-# seen beside the tibia, and the femur is as bright laterally as medially.
+# degrees of flexion (Johal et al. 2005, from memory). On fixed-flexion radiographs of patients, the fibula is therefore
+# visible beside the tibia, and the femur is equally bright laterally and medially.
 _OUT_DEG = 9.5
 # Flexion at which the rotation reaches 1 - 1/e (63 %) of its largest value, degrees.
 _BY_DEG = 25.0
-# Medial shift of the femur with this rotation, mm per degree. A rotation about the centre alone would place condyles,
-# notch and edges 0.9 mm off those of 150 fixed-flexion radiographs of KL 0 (Tiulpin et al. 2019; landmarks.toml).
+# Medial shift of the femur per degree of this rotation, mm. Without the shift, condyles, notch and edges deviate by 0.9
+# mm from landmarks on 150 fixed-flexion radiographs of KL 0 (Tiulpin et al. 2019; landmarks.toml).
 _MEDIAL_MM_PER_DEG = 0.16
 
 
@@ -28,7 +28,7 @@ class Pose:
     Attributes
     ----------
     tilt_deg : float
-        Rotation of the femur on the tibia about y, in degrees. A positive tilt lowers its medial side.
+        Rotation of the femur on the tibia about y, in degrees. A positive tilt lowers the medial side of the femur.
     raise_mm : float
         Shift of the femur on the tibia along z, in mm.
     shift_mm : float
@@ -38,7 +38,7 @@ class Pose:
     rotation_deg : float
         Rotation of the whole leg about z, in degrees.
     pivot_mm : (float, float, float)
-        Point in the frame of the femur about which it flexes, in mm.
+        Point in the frame of the femur about which the femur flexes, in mm.
     rollback_mm : float
         Posterior shift of the femur on the tibia, in mm.
     lean_deg : float
@@ -64,7 +64,7 @@ class Pose:
         Returns
         -------
         float
-            Angle in degrees; it rises with flexion and is 0 in extension.
+            Angle in degrees; it increases with flexion and is 0 in extension.
         """
         return _OUT_DEG * (1.0 - math.exp(-max(self.flexion_deg, 0.0) / _BY_DEG))
 
@@ -130,21 +130,21 @@ class Pose:
 
 
 def adjust_femur_pose(pose: Pose, x: Array, raise_mm: Array) -> Pose:
-    """Tilt and raise the femur so that points at two positions in x rise by given amounts.
+    """Tilt and raise the femur to move points at two positions along x upwards by given amounts.
 
     Parameters
     ----------
     pose : Pose
         Pose to adjust.
     x : (2,) float64 array, mm
-        Positions of both points along x.
+        Positions of the two points along x.
     raise_mm : (2,) float64 array
-        Required rise of both points, in mm.
+        Required upward shift of the two points, in mm.
 
     Returns
     -------
     Pose
-        Pose with other `tilt_deg` and `raise_mm`.
+        Pose with adjusted `tilt_deg` and `raise_mm`.
     """
     # A small tilt dB about y lowers a point at x by x dB (right-handed rotation: z' = -x sin B + z cos B).
     lift, turn = np.linalg.solve([[1.0, -x[0]], [1.0, -x[1]]], raise_mm)

@@ -14,7 +14,8 @@ from ...geometry.mesh import Indices, Mesh
 
 # Exponent of the superellipse that describes the cross-section of a shaft, dimensionless.
 SHAFT_POWER = 2.3
-# Pieces of a triangle with 1, 2 or 3 split edges, by corner (0 to 2) and edge midpoint (3 to 5).
+# Triangles that replace a triangle with 1, 2 or 3 split edges. Numbers 0 to 2 are its corners, 3 to 5 its edge
+# midpoints.
 _PIECES = {
     1: [[0, 3, 2], [3, 1, 2]],
     2: [[3, 1, 4], [0, 3, 4], [0, 4, 2]],
@@ -40,7 +41,7 @@ def require_valid_solid(solid: Manifold, name: str) -> Manifold:
     Raises
     ------
     InputError
-        The status is not NoError, or the volume is 0. manifold3d itself never raises: it reports a failure only by the
+        The status is not NoError, or the volume is 0. manifold3d itself never raises. It reports a failure only by the
         status and an empty result.
     """
     status = solid.status()
@@ -125,11 +126,11 @@ def find_edges(faces: Indices) -> Indices:
     Returns
     -------
     (k, 2) int array
-        Vertex numbers of each edge, the smaller one first, sorted.
+        Vertex numbers of each edge, smaller number first; the edges are sorted.
     """
     number = int(faces.max(initial=0)) + 1
     ends = np.stack((faces, np.roll(faces, -1, axis=1)), axis=-1)
-    # Sorting the keys here is several times as fast as np.unique, which uses a hash table.
+    # Sorting the keys is several times faster than np.unique, which uses a hash table.
     key = np.sort((ends.min(axis=-1) * number + ends.max(axis=-1)).reshape(-1))
     key = key[np.append(True, key[1:] != key[:-1])]
     return np.column_stack((key // number, key % number))
@@ -146,7 +147,7 @@ def find_closed_mesh_edges(faces: Indices) -> Indices:
     Returns
     -------
     (m, 2) int array
-        Vertex numbers of each edge, the smaller one first, in arbitrary order.
+        Vertex numbers of each edge, smaller number first; the order of the edges is arbitrary.
     """
     starts, ends = faces.T.ravel(), faces[:, [1, 2, 0]].T.ravel()
     upwards = starts < ends
@@ -154,7 +155,7 @@ def find_closed_mesh_edges(faces: Indices) -> Indices:
 
 
 def find_crossing_sides(values: Array, faces: Indices, level: float) -> tuple[Indices, Indices, Array]:
-    """Find the triangle sides along which vertex values cross a level.
+    """Find the triangle edges along which vertex values cross a level.
 
     Parameters
     ----------
@@ -168,11 +169,11 @@ def find_crossing_sides(values: Array, faces: Indices, level: float) -> tuple[In
     Returns
     -------
     starts : (n,) int array
-        Vertex at which each crossing side starts. The two crossing sides of a triangle are consecutive.
+        Vertex at which each crossing edge starts. The two crossing edges of a triangle are consecutive.
     ends : (n,) int array
-        Vertex at which each crossing side ends.
+        Vertex at which each crossing edge ends.
     fraction : (n,) float64 array
-        Fraction of the side from its start to the crossing.
+        Distance from the start of each edge to the crossing, as a fraction of the edge length.
     """
     beyond = values >= level
     cut = faces[np.ptp(beyond[faces].astype(np.int8), axis=1) > 0]
@@ -206,7 +207,7 @@ def dilate_rings(selected: NDArray[np.bool_], faces: Indices, rings: int) -> NDA
 
 
 def split_edges(faces: Indices, edges: Indices, first: int) -> Indices:
-    """Split edges of a closed mesh in half and divide the faces beside them accordingly.
+    """Split edges of a closed mesh in half and divide the adjacent faces accordingly.
 
     Parameters
     ----------
@@ -234,7 +235,8 @@ def split_edges(faces: Indices, edges: Indices, first: int) -> Indices:
     middle = np.where(key[order[place]] == wanted, first + order[place], -1)
     count = (middle >= 0).sum(axis=1)
     kept[number[count > 0]] = False
-    # Each face is rotated so that its split edges come first: corners a, b, c, and midpoints of ab, bc, ca.
+    # The corners of each face are reordered so that split edges come first: corners a, b, c, and midpoints of ab, bc,
+    # ca.
     start = np.where(count == 1, np.argmax(middle >= 0, axis=1), (np.argmax(middle < 0, axis=1) + 1) % 3)
     turn = (start[:, None] + np.arange(3)) % 3
     turned = np.hstack([np.take_along_axis(part, turn, axis=1) for part in (about, middle)])
@@ -378,12 +380,12 @@ def loft(rings_mm: Array, name: str, *, strip_caps: bool = False) -> Manifold:
     Parameters
     ----------
     rings_mm : (levels, count, 3) float64 array
-        Rings in mm, counter-clockwise seen from +z, with rising z.
+        Rings in mm, counter-clockwise seen from +z, with increasing z.
     name : str
         Name of the solid in the error message.
     strip_caps : bool
-        True triangulates the caps in strips from side to side, which stay valid if a narrow cap is bent later. False
-        uses fans around the centre.
+        True triangulates the caps in strips from one side to the other; these stay valid if a narrow cap is bent later.
+        False triangulates the caps as fans around their centres.
 
     Returns
     -------
@@ -414,7 +416,7 @@ def loft(rings_mm: Array, name: str, *, strip_caps: bool = False) -> Manifold:
 
 
 def _list_strip_cap_faces(count: int) -> Indices:
-    """List the faces (count - 2, 3) of a cap in strips between both sides of a ring, counter-clockwise.
+    """List the faces (count - 2, 3) of a cap in strips across a ring, counter-clockwise.
 
     `count` must be even.
     """
@@ -445,7 +447,7 @@ def loft_column(
     inset_mm : callable
         Maps heights (k,), in mm, to the thickness (k,), in mm, that is subtracted from both half axes.
     heights_mm : (k,) float64 array
-        Heights of the rings, in mm, rising.
+        Heights of the rings, in mm, in increasing order.
     name : str
         Name of the solid in the error message.
     power : float
@@ -480,13 +482,13 @@ def make_column_rings(
     sections : (n, 5) float64 array, mm
         One row per section, in any order: height z, half width ML, half width AP, centre y, centre x.
     heights_mm : (k,) float64 array
-        Heights of the rings, in mm, rising.
+        Heights of the rings, in mm, in increasing order.
     power : float
         Exponent of the superellipses, dimensionless.
     count : int
         Number of points per ring.
     inset_mm : float or (k,) float64 array
-        Thickness subtracted from both half axes, in mm. Half axes stay at least 0.05 mm.
+        Thickness subtracted from both half axes, in mm. Half axes are at least 0.05 mm.
 
     Returns
     -------
@@ -521,14 +523,14 @@ def make_thickness_profile(table: Rows | Array, factor: float = 1.0) -> Callable
 
 
 def build_height_field(x_mm: Array, y_mm: Array, top_mm: Array, bottom_mm: float, name: str) -> Manifold:
-    """Build the solid between a surface given as heights on a grid and a flat bottom.
+    """Build the solid between a height field on a grid and a flat bottom.
 
     Parameters
     ----------
     x_mm : (nx,) float64 array
-        Grid coordinates along x, in mm, rising.
+        Grid coordinates along x, in mm, in increasing order.
     y_mm : (ny,) float64 array
-        Grid coordinates along y, in mm, rising.
+        Grid coordinates along y, in mm, in increasing order.
     top_mm : (nx, ny) float64 array
         Height of the surface, in mm, above `bottom_mm` everywhere.
     bottom_mm : float

@@ -1,8 +1,8 @@
 """Repair after Boolean cuts: restore the faces that a cut should not have changed.
 
-In a mesh with folded slivers, manifold3d flips edges wherever it performs a Boolean operation. This moves the surface
-by micrometres, even far from the cut. A patch of new faces is replaced under two conditions: all its vertices are
-original ones, and its boundary is that of a patch of removed original faces.
+In a mesh with folded slivers, a Boolean operation of manifold3d also flips edges far from the cut. These flips move the
+surface by micrometres. A patch of new faces is replaced under two conditions. All its vertices are original vertices,
+and its boundary equals that of a patch of removed faces.
 """
 
 import numpy as np
@@ -12,7 +12,7 @@ from ...geometry.mesh_topology import label_bodies
 
 
 def restore_uncut_faces(cut: Mesh, whole: Mesh) -> Mesh:
-    """Restore the original faces whose edges a Boolean operation has flipped away from the cut.
+    """Restore the original faces whose edges a Boolean operation has flipped far from the cut.
 
     Parameters
     ----------
@@ -45,16 +45,16 @@ def restore_uncut_faces(cut: Mesh, whole: Mesh) -> Mesh:
     if not put_back:
         return cut
     restored = np.vstack(put_back)
-    lost = np.setdiff1d(restored, own)  # vertices inside restored patches that the cut mesh does not have
+    lost = np.setdiff1d(restored, own)  # The cut mesh lacks these vertices inside restored patches.
     vertex = np.empty(len(places), np.int64)
     vertex[own], vertex[lost] = np.arange(len(own)), len(own) + np.arange(len(lost))
     return Mesh(np.vstack((cut.vertices, places[lost])), np.vstack((cut.faces[keep], vertex[restored])))
 
 
 def _compute_face_keys(faces: Indices, count: int) -> Indices:
-    """Compute a number (m,) for each face that does not depend on which corner comes first.
+    """Compute keys (m,) of faces that do not depend on which corner comes first.
 
-    `faces` (m, 3) holds vertex numbers below `count`.
+    `faces` (m, 3) are vertex numbers below `count`.
     """
     start = faces.argmin(axis=1)
     first, second, third = np.take_along_axis(faces, (start[:, None] + np.arange(3)) % 3, axis=1).T.astype(np.int64)
@@ -72,6 +72,6 @@ def _split_into_patches(faces: Indices, count: int) -> list[Indices]:
 
 
 def _find_boundary_edges(faces: Indices) -> frozenset[tuple[int, int]]:
-    """Find the directed edges of faces (m, 3) whose reverse belongs to none of the faces."""
+    """Find the directed edges of faces (m, 3) whose reversed edge belongs to none of the faces."""
     edges = {(int(face[k]), int(face[(k + 1) % 3])) for face in faces for k in range(3)}
     return frozenset(edge for edge in edges if edge[::-1] not in edges)

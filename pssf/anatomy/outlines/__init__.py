@@ -1,1 +1,1 @@
-"""Projected outlines of femur and tibia: contour landmarks and the joint space between both contours."""
+"""Projected outlines of femur and tibia: contour landmarks and the joint space between the two contours."""

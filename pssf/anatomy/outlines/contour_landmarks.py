@@ -1,7 +1,7 @@
 """Sixteen contour landmarks on the projected cortical contours of femur and tibia.
 
-Order and names follow the annotations of Tiulpin et al. 2019 (KNEEL, arXiv 1907.12237). They run along the upper
-contour of the tibia and along the lower contour of the femur, each from lateral to medial. As on patient radiographs,
+Order and names follow the annotations of Tiulpin et al. 2019 (KNEEL, arXiv 1907.12237). The landmarks follow the upper
+contour of the tibia and the lower contour of the femur, each from lateral to medial. As on patient radiographs,
 osteophytes belong to the contour. All distances are measured on the detector in mm from its centre. Pixel size, image
 size and the side of the knee therefore do not affect the result.
 
@@ -17,16 +17,16 @@ size and the side of the knee therefore do not affect the result.
 ``notch_top``
     Highest point of the lower femoral contour within the central quarter of its width.
 ``femur_*_notch``
-    Point at which the contour has risen from the condyle towards the top of the notch by a fixed fraction. The
-    fraction is the mean of the annotations over five grades: 0.355 (0.347 to 0.363) laterally and 0.404 (0.386 to
+    Point at which the contour has risen by a fixed fraction of the height from the condyle to the top of the notch. The
+    fraction is the mean of the annotations over five KL grades: 0.355 (0.347 to 0.363) laterally and 0.404 (0.386 to
     0.422) medially.
 ``femur_*_condyle``
-    Point on the contour half way across from edge to notch.
+    Point on the contour halfway along x between edge and notch.
 
-The floor of the plateau is the lowest point of the central half of its depth, from front to back. The medial plateau
-is dished: its rims are some 4 mm higher on the outline of real bones (Clouthier et al. 2019) than the annotated points.
-The lateral outline of sampled knees agrees with both annotated points within 0.2 mm, and varies as they do. There, the
-floor at point 2 would be 2 mm lower.
+The floor of the plateau is the lowest point within the central half of its antero-posterior depth. The medial plateau
+is concave. On the outline of real bones (Clouthier et al. 2019), its rims are about 4 mm higher than the annotated
+points. The lateral outline of sampled knees agrees with the two annotated points within 0.2 mm and has the same
+variation. The lateral floor at point 2 would be 2 mm lower than this outline.
 """
 
 from dataclasses import dataclass
@@ -48,25 +48,28 @@ FEMORAL_LANDMARKS = (
     "femur_medial_notch", "femur_medial_condyle", "femur_medial_edge",
 )  # fmt: skip
 CONTOUR_LANDMARKS = TIBIAL_LANDMARKS + FEMORAL_LANDMARKS
-# Positions of points 1 and 2 along x as fractions of the distance from edge to spine: means of the annotations of 150
-# knees of KL 0 (Tiulpin et al. 2019).
+# Positions of points 1 and 2 along x as fractions of the distance from edge to spine. They are means of the annotations
+# of 150 knees of KL 0 (Tiulpin et al. 2019).
 _EDGE_TO_SPINE_FRACTIONS = {"lateral": (0.356, 0.709), "medial": (0.392, 0.779)}
-# Spines are searched within this fraction of the plateau width from its centre.
+# Range in which a spine is searched on each side of the plateau centre, as a fraction of the plateau width.
 _SPINE_SEARCH_FRACTION = 0.22
-# The top of the notch is searched within this fraction of the femoral width from its centre.
+# Range in which the top of the notch is searched on each side of the femoral centre, as a fraction of the femoral
+# width.
 _NOTCH_REACH = 0.125
-# Rise of the lateral and medial notch points as a fraction of the rise from condyle to notch top (Tiulpin et al. 2019).
+# Height of the lateral and medial notch point above the condyle, as a fraction of the height of the notch top (Tiulpin
+# et al. 2019).
 _NOTCH_RISES = (0.355, 0.404)
-# Angle of the tangent that defines the edges, in degrees. It was chosen from 25 to 45 degrees by comparing the bones of
-# 50 subjects (Clouthier et al. 2019) in fixed flexion with annotated landmarks. Heights deviate by 1.2 SD at 45 degrees
-# and by 0.9 SD at 30 degrees. Smaller angles improve little and fail for some bones.
+# Angle between the horizontal and the tangent that touches a bone at its medial or lateral edge, in degrees. Angles
+# from 25 to 45 degrees were tested on the bones of 50 subjects (Clouthier et al. 2019) in fixed flexion. The edge
+# heights deviate from annotated landmarks by 1.2 SD at 45 degrees and by 0.9 SD at 30 degrees. Smaller angles reduce
+# the deviation little and fail for some bones.
 _TANGENT_DEG = 30.0
-# A section belongs to the plateau down to this distance below the line through both edges, as a fraction of the
-# plateau width. At 0.08 the slope in front of the spines would count as floor (bones of Clouthier et al. 2019).
+# Largest distance of plateau points below the line through the medial and lateral edge, as a fraction of the plateau
+# width. With 0.08, the slope anterior to the spines would count as floor (bones of Clouthier et al. 2019).
 _PLATEAU_UNDER = 0.04
-# Central range of the plateau depth in which the floor is searched, as fractions of the depth.
+# Central range of the antero-posterior depth in which the floor is searched, as fractions of the depth.
 _MIDDLE = (0.25, 0.75)
-# At least the top of a section counts as plateau, down to this depth in mm.
+# Distance below the top of a section down to which all points belong to the plateau, in mm.
 _MIN_SECTION_DEPTH_MM = 2.0
 # Distance between the points of a contour, along x on the detector or along the beam in a section, in mm. The contour
 # is exact at each point.
@@ -89,7 +92,7 @@ class _Contour:
         return self._place(int(np.abs(self.x_mm - x_mm).argmin()))
 
     def crop_between(self, first_mm: float, last_mm: float) -> "_Contour":
-        """Return the part between two values of x, given in any order, in mm."""
+        """Return the part of the contour between two values of x, given in any order, in mm."""
         low, high = sorted((first_mm, last_mm))
         part = (self.x_mm >= low) & (self.x_mm <= high)
         return _Contour(self.x_mm[part], self.y_mm[part])
@@ -103,7 +106,7 @@ class _Contour:
         return self._place(int(self.y_mm.argmin()))
 
     def _place(self, index: int) -> tuple[float, float]:
-        """Return the point with an index, in mm."""
+        """Return the contour point with the given index, in mm."""
         return float(self.x_mm[index]), float(self.y_mm[index])
 
 
@@ -139,7 +142,7 @@ def find_contour_landmarks(
 
 
 def find_plateau_floor(tibia: Mesh, view: View, medial_sign: int, lean_deg: float = 0.0) -> Array:
-    """Find the tibial landmarks as a line that follows the floor of the medial plateau.
+    """Find the nine tibial landmarks as a polyline that follows the floor of the medial plateau.
 
     Parameters
     ----------
@@ -155,7 +158,7 @@ def find_plateau_floor(tibia: Mesh, view: View, medial_sign: int, lean_deg: floa
     Returns
     -------
     (9, 2) float64 array
-        Row and column of the nine tibial landmarks, in pixels, with rising columns.
+        Row and column of the nine tibial landmarks, in pixels, in the order of increasing columns.
     """
     tibial = _find_tibial_landmarks(_project_upright_mm(tibia.vertices, view, medial_sign, lean_deg), tibia)
     return _convert_to_px(tibial, view, medial_sign, lean_deg)[::medial_sign]
@@ -171,7 +174,7 @@ def _convert_to_px(places_mm: list[tuple[float, float]], view: View, medial_sign
 def _project_upright_mm(vertices: Array, view: View, medial_sign: int, lean_deg: float) -> Array:
     """Project vertices (n, 3) and remove the lean of the leg.
 
-    Returns (n, 2): x towards medial and y towards proximal, in mm from the detector centre.
+    The result (n, 2) contains x towards medial and y towards proximal, in mm from the detector centre.
     """
     seen = rotate_px(project_points(vertices, view), view, -lean_deg)
     x = (seen[:, 1] - (view.cols - 1) / 2) * view.pixel_mm * medial_sign
@@ -179,7 +182,7 @@ def _project_upright_mm(vertices: Array, view: View, medial_sign: int, lean_deg:
 
 
 def _list_triangle_sides(mesh: Mesh) -> Indices:
-    """List the sides (3 m, 2) of all triangles. Most sides occur twice; removing duplicates would take longer."""
+    """List the edges (3 m, 2) of all triangles, with duplicates, because removing duplicates would take longer."""
     return mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
 
 
@@ -201,7 +204,7 @@ def _find_edges(points_mm: Array, touch_sign: float) -> list[tuple[float, float]
 
 
 def _find_tibial_landmarks(points_mm: Array, tibia: Mesh) -> list[tuple[float, float]]:
-    """Find the nine tibial landmarks in their order, in mm."""
+    """Find the nine tibial landmarks in the order of `TIBIAL_LANDMARKS`, in mm."""
     lateral, medial = _find_edges(points_mm, +1.0)
     contour = _trace_contour(points_mm, _list_triangle_sides(tibia), (lateral[0], medial[0]), -1.0)
     middle, width = (lateral[0] + medial[0]) / 2, medial[0] - lateral[0]
@@ -225,24 +228,24 @@ def _find_tibial_landmarks(points_mm: Array, tibia: Mesh) -> list[tuple[float, f
 def _cut_section(points_mm: Array, tibia: Mesh, x_mm: float) -> _Contour:
     """Cut the tibia at the projected position `x_mm` and return the upper outline of the section.
 
-    The outline gives height on the detector over depth along the beam, in mm.
+    The outline is the height on the detector as a function of depth along the beam, in mm.
     """
     starts, ends, share = find_crossing_sides(points_mm[:, 0], tibia.faces, x_mm)
     both = np.column_stack((tibia.vertices[:, 1], points_mm[:, 1]))
     points = both[starts] + share[:, None] * (both[ends] - both[starts])
-    # Two sides of each triangle cross the plane; the segment between both crossings belongs to the section.
+    # Two edges of each triangle cross the plane; the segment between the two crossings belongs to the section.
     return _trace_contour(points, np.arange(len(points)).reshape(-1, 2), (points[:, 0].min(), points[:, 0].max()), -1.0)
 
 
 def _find_floor_height_mm(section: _Contour, above_mm: float) -> float:
-    """Return the lowest height in the central half of the section above `above_mm`, in mm."""
+    """Return the lowest height in the central half of a section, ignoring points below `above_mm`, in mm."""
     depths = section.x_mm[section.y_mm > min(above_mm, section.y_mm.max() - _MIN_SECTION_DEPTH_MM)]
     low, high = (depths.min() + share * np.ptp(depths) for share in _MIDDLE)
     return section.crop_between(low, high).find_lowest_point()[1]
 
 
 def _find_femoral_landmarks(points_mm: Array, sides: Indices) -> list[tuple[float, float]]:
-    """Find the seven femoral landmarks in their order, in mm."""
+    """Find the seven femoral landmarks in the order of `FEMORAL_LANDMARKS`, in mm."""
     lateral, medial = _find_edges(points_mm, -1.0)
     contour = _trace_contour(points_mm, sides, (lateral[0], medial[0]), +1.0)
     middle, reach = (lateral[0] + medial[0]) / 2, _NOTCH_REACH * (medial[0] - lateral[0])
@@ -252,7 +255,7 @@ def _find_femoral_landmarks(points_mm: Array, sides: Indices) -> list[tuple[floa
         low = contour.crop_between(edge[0], top[0]).find_lowest_point()
         wall = contour.crop_between(low[0], top[0])
         risen = wall.x_mm[wall.y_mm >= low[1] + rise * (top[1] - low[1])]
-        # Take the first such point from the condyle towards the notch.
+        # The notch landmark is the first of these points from the condyle towards the notch.
         notch = wall.find_nearest_point(risen[np.abs(risen - edge[0]).argmin()])
         by_side.append([edge, contour.find_nearest_point((edge[0] + notch[0]) / 2), notch])
     return [*by_side[0], top, *by_side[1][::-1]]

@@ -12,7 +12,7 @@ from ...geometry.view import View, magnification, project_points
 
 # Range in which JSW is measured, in fractions of half the tibial width. It excludes the spines and the margins.
 COMPARTMENT_RANGE = (0.36, 0.85)
-# Least number of columns that are sampled per compartment.
+# Smallest number of columns that are sampled per compartment.
 _MIN_COLUMNS = 3
 # Largest distance between sampled columns, in mm on the detector.
 _MAX_STEP_MM = 0.15
@@ -25,7 +25,7 @@ class Gap:
     Attributes
     ----------
     columns_px : (n,) float64 array
-        Sampled columns within the compartment, in pixels. They are fractional where pixels are too coarse.
+        Sampled columns within the compartment, in pixels. They are fractional if the pixels are too coarse.
     femur_px : (n,) float64 array
         Row of the lower femoral contour in each column, in pixels.
     tibia_px : (n,) float64 array
@@ -44,7 +44,7 @@ class Gap:
 
     @property
     def jsw_mm(self) -> float:
-        """Smallest vertical gap, in mm in the joint plane."""
+        """Smallest vertical gap, in mm, scaled to the joint plane."""
         return float((self.tibia_px - self.femur_px).min() * self.mm_per_pixel)
 
     @property
@@ -53,7 +53,7 @@ class Gap:
         return int((self.tibia_px - self.femur_px).argmin())
 
     def narrowest_px(self) -> tuple[tuple[float, float], tuple[float, float]]:
-        """Return the points of both contours where the gap is smallest.
+        """Return the femoral and tibial contour points at the smallest gap.
 
         Returns
         -------
@@ -117,18 +117,19 @@ def measure_gap(
     femur : tuple of (n, 3) float64 array, mm, and (m, 2) integer array
         Vertices and edges of the outer femur in the knee frame.
     tibia : tuple like `femur`, or (k, 2) float64 array, px
-        Vertices and edges of the outer tibia, or a line that replaces its contour. The line holds row and column of
-        its points, with rising columns.
+        Vertices and edges of the outer tibia, or a polyline that replaces its contour. The polyline consists of row and
+        column of its points, in the order of increasing columns.
     view : View
         Source and detector.
     side_sign : int
-        +1 for the compartment at x > 0, -1 for the other one.
+        +1 for the compartment at x > 0, -1 for the compartment at x < 0.
     half_ml_mm : float
         Half the mediolateral width of the tibial plateau, in mm.
     lean_deg : float, default 0.0
-        Lean of the leg in the image, in degrees, clockwise positive. It is removed from rows and columns.
+        Lean of the leg in the image, in degrees, clockwise positive. The lean is removed before rows and columns are
+        measured.
     range_fractions : tuple of float, default (0.36, 0.85)
-        Range that is measured, in fractions of `half_ml_mm`.
+        Range in which the joint space is measured, in fractions of `half_ml_mm`.
 
     Returns
     -------
@@ -174,7 +175,7 @@ def compute_outline_rows(points_px: Array, edges: Indices, first_column: int, co
     Returns
     -------
     (count,) float64 array
-        Row of the outline in each column, in pixels; infinite where the mesh does not reach a column.
+        Row of the outline in each column, in pixels; infinite in columns without mesh.
     """
     return (
         _walk_edges(np.ascontiguousarray(points_px), np.ascontiguousarray(edges), first_column, count, outline_sign)

@@ -1,4 +1,4 @@
-"""Attrition: measure the depth of plateau wear, and build the posed bones with and without it."""
+"""Attrition: measure the depth of plateau wear, and build the posed bones with and without wear."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ from ..meshing.solids import build_solid, extract_mesh
 from ..outlines.projected_contours import COMPARTMENT_RANGE
 from .knee_assembly import KneeAssembly
 
-# Bisections of the largest wear depth; they give the depth to 0.001 mm.
+# Number of bisections between 0 and the largest wear depth; they give the depth to 0.001 mm.
 _BISECTIONS = 13
 
 
@@ -46,9 +46,10 @@ def build_outer_meshes(assembly: KneeAssembly) -> tuple[Mesh, Mesh]:
 
 
 def measure_attrition_mm(assembly: KneeAssembly) -> dict[str, float]:
-    """Measure the greatest depth of plateau wear per compartment, in the posture that defines the joint space.
+    """Measure the largest depth of plateau wear per compartment, in the posture that defines the joint space.
 
-    The depth is measured along the leg, on the plateau beyond the spines, which the notch may also wear.
+    The depth is measured along the leg, on the plateau outside the spines. The spines are excluded, because the notch
+    may wear them too.
 
     Parameters
     ----------

@@ -9,22 +9,22 @@ from ...core.checks import Array, InputError
 from ..meshing.rigid_pose import Pose, adjust_femur_pose, apply_transform
 from ..outlines.projected_contours import COMPARTMENT_RANGE
 
-# Posterior shift of the femur on the tibia, mm per degree of flexion, the mean of both sides. It is nearly 0 on the
-# medial side and about 15 mm in 110 degrees laterally (Iwaki, Pinskerova and Freeman 2000, from memory).
+# Posterior shift of the femur on the tibia, mm per degree of flexion, mean of the medial and lateral side. The shift
+# over 110 degrees is nearly 0 medially and about 15 mm laterally (Iwaki, Pinskerova and Freeman 2000, from memory).
 _ROLLBACK_MM_PER_DEG = 0.07
 # Height below which the femur can touch the tibia, mm.
 _FEMUR_BELOW_MM = 50.0
 # Height above which the tibia can touch the femur, mm.
 _TIBIA_ABOVE_MM = -14.0
-# Tolerance of the gap in both compartments, mm.
+# Tolerance of the gap in each compartment, mm.
 _TOLERANCE_MM = 1e-3
 # Largest number of iterations.
 _TURNS = 60
-# Iterations with full steps; half steps follow.
+# Number of iterations with full steps; later iterations use half steps.
 _FULL_STEPS = 10
-# Error that is accepted where the condyle slips over the rim of the plateau and no pose has both gaps, mm.
+# Largest accepted gap error, mm, if no pose has both gaps because a condyle slips over the rim of the plateau.
 _ACCEPTED_ERROR_MM = 0.05
-# Cell size of the plateau surface, mm; it is linear between the highest points of the cells.
+# Cell size of the grid for the plateau surface, mm. The surface is linear between the highest points of the cells.
 _CELL_MM = 0.7
 
 
@@ -36,9 +36,9 @@ def flex_pose(pose: Pose, femur: Array, tibia: Array, half_ml_mm: float, flexion
     pose : Pose
         Pose before the additional flexion.
     femur : (n, 3) float64 array, mm
-        Vertices of the femur in its own frame.
+        Vertices of the femur in the frame of the femur.
     tibia : (m, 3) float64 array, mm
-        Vertices of the tibia in its own frame.
+        Vertices of the tibia in the frame of the tibia.
     half_ml_mm : float
         Half the medio-lateral width of the tibial plateau, in mm.
     flexion_deg : float
@@ -48,12 +48,12 @@ def flex_pose(pose: Pose, femur: Array, tibia: Array, half_ml_mm: float, flexion
     -------
     Pose
         Pose with the additional flexion and rollback. The smallest gap of each compartment, along the tibial axis, is
-        as before.
+        unchanged.
 
     Raises
     ------
     InputError
-        No pose keeps both gaps.
+        No pose keeps the gaps of both compartments.
     """
     low, high = (share * half_ml_mm for share in COMPARTMENT_RANGE)
     plateau = tibia[(tibia[:, 2] > _TIBIA_ABOVE_MM) & (np.abs(tibia[:, 0]) < high + 3.0)]
@@ -76,7 +76,8 @@ def flex_pose(pose: Pose, femur: Array, tibia: Array, half_ml_mm: float, flexion
             return bent
         if off_mm < least_mm:
             nearest, least_mm = bent, off_mm
-        # If two points of a condyle are alternately the lowest, half steps find the pose between them.
+        # If two points of a condyle are alternately the lowest, half steps find the pose in which both have the same
+        # height.
         bent = adjust_femur_pose(bent, x, error if turn_number < _FULL_STEPS else error / 2)
     if least_mm < _ACCEPTED_ERROR_MM:
         return nearest
@@ -103,7 +104,7 @@ def _measure_gaps_mm(at: Pose, sides: list[Array], surface: LinearNDInterpolator
 
 
 def _select_highest_points(places: Array) -> tuple[Array, Array]:
-    """Select the highest of points (n, 3) in each cell of a grid: (m, 2) x and y, and (m,) z, mm."""
+    """Select the highest point per grid cell from points (n, 3); return x and y (m, 2) and z (m,), mm."""
     cell = np.floor(places[:, :2] / _CELL_MM).astype(np.int64)
     order = np.lexsort((-places[:, 2], cell[:, 1], cell[:, 0]))
     first = np.ones(len(order), np.bool_)

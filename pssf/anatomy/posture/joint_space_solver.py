@@ -36,18 +36,18 @@ from ..template.bone_builder import (
 )
 from .subluxation import SubluxedPose
 
-# Flexion axis of the template femur, the centre of the round posterior condyles, mm.
+# Point on the flexion axis of the template femur, the centre of the round posterior condyles, mm.
 _PIVOT_MM = (0.0, 2.0, 23.0)
-# Height below which the femur can border the joint space, mm.
+# Height below which the femur may bound the joint space, mm.
 _FEMUR_BELOW_MM = 24.0
-# Height above which the tibia can border the joint space, mm.
+# Height above which the tibia may bound the joint space, mm.
 _TIBIA_ABOVE_MM = -14.0
 # Tolerance of the JSW, mm.
 _TOLERANCE_MM = 1e-4
-# Tolerance for the height of the joint line above the origin, mm. Within it, the tibia is no longer moved, because
-# landmarks on its floor jump slightly whenever it moves.
+# Tolerance for the height of the joint line above the origin, mm. Within this tolerance, the tibia is not moved
+# further, because every move makes landmarks on the plateau floor jump slightly.
 _LEVEL_MM = 0.02
-# If these jumps prevent convergence, the tolerance is relaxed. First iteration with the second tolerance.
+# First iteration with the second tolerance. The tolerance is relaxed in case these jumps prevent convergence.
 _LEVELLED = 8
 # Second tolerance, mm.
 _NEARLY_LEVEL_MM = 0.2
@@ -57,15 +57,15 @@ _GIVEN_UP = 16
 _FAR_FROM_LEVEL_MM = 1.0
 # Largest number of iterations.
 _MAX_ITERATIONS = 40
-# JSW up to which the overlap of the bones is considered, mm.
+# Largest JSW at which an overlap of the bones is considered, mm.
 _NEAR_MM = 3.0
 # Largest number of iterations with wear.
 _WORN_TURNS = 16
-# Distance from the joint up to which solids are used for wear, mm.
+# Distance from the joint at which the bones are cut off before wear is computed, mm.
 _SOLID_MM = 45.0
-# Measures a pose: medial and lateral JSW (2,), mm, position in x of each (2,), mm, and height of the joint line, mm.
+# Maps a pose to medial and lateral JSW (2,), mm, their positions in x (2,), mm, and the height of the joint line, mm.
 PoseMeasure = Callable[[Pose], tuple[Array, Array, float]]
-# The same for a pose, the plateau in that pose and the edges of the plateau.
+# Maps a pose, the plateau in this pose and the mesh edges of the plateau to the results of a `PoseMeasure`.
 PlateauMeasure = Callable[[Pose, Mesh, Indices], tuple[Array, Array, float]]
 
 
@@ -76,7 +76,7 @@ def solve_pose(
     tibia: BoneWithOsteophytes,
     protocol: Protocol,
 ) -> Pose:
-    """Solve for the tilt and height of the femur that give both compartments their JSW (Newton on the projection).
+    """Find the tilt and height of the femur that give both compartments their JSW, by Newton's method.
 
     Parameters
     ----------
@@ -89,17 +89,17 @@ def solve_pose(
     tibia : BoneWithOsteophytes
         Outer tibia with osteophytes.
     protocol : Protocol
-        Protocol under which the JSW of the knee is defined; its posture is that of the result.
+        Protocol under which the JSW of the knee is defined. The resulting pose has the posture of this protocol.
 
     Returns
     -------
     Pose
-        Pose of the leg under that protocol.
+        Pose of the leg under `protocol`.
 
     Raises
     ------
     InputError
-        No pose gives both values. The ranges of `Knee` exclude this.
+        No pose gives both the medial and the lateral JSW. The ranges of `Knee` exclude this case.
     """
     posture = protocol.posture
     wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
@@ -145,8 +145,8 @@ def _solve_for_spaces(knee: Knee, measure: PoseMeasure, pose: Pose) -> Pose:
 def _refine_for_wear(target_jsw_mm: Array, measure: PoseMeasure, pose: Pose) -> Pose:
     """Refine the pose so that the JSW (2,) over the worn plateau is closest to its target, mm.
 
-    A worn plateau gives way with the femur. If a step changes the JSW by less than half of it, the next step is
-    doubled.
+    A lower femur wears the plateau deeper, so the JSW changes by less than the step. If a step removes less than half
+    of the error, the next step is doubled.
     """
     best, least, last, longer = pose, np.inf, np.zeros(2), np.ones(2)
     for _ in range(_WORN_TURNS):
@@ -169,7 +169,10 @@ def _select_level_tolerance_mm(iteration: int) -> float:
 
 
 def _make_pose_measure(measure_plateau: PlateauMeasure, upper_tibia: Mesh) -> PoseMeasure:
-    """Make a function that measures the JSW above the unworn plateau, as `_select_upper_tibia` returns it."""
+    """Make a function that measures the JSW above an unworn plateau.
+
+    `upper_tibia` is the mesh that `_select_upper_tibia` returns.
+    """
     edges = find_edges(upper_tibia.faces)
 
     def measure(pose: Pose) -> tuple[Array, Array, float]:
@@ -215,9 +218,10 @@ def _measure_spaces(
     plateau: Mesh,
     edges: Indices,
 ) -> tuple[Array, Array, float]:
-    """Measure the JSW as vertical gaps on the detector, to the contour of the tibia or to the floor of its plateau.
+    """Measure the JSW on the detector as vertical gaps from the femur to the tibial contour or plateau floor.
 
-    `lower_femur` is as `_select_lower_femur` returns it. `plateau` is in its pose, with `edges` (m, 2).
+    `lower_femur` is the result of `_select_lower_femur`. `plateau` is the posed upper tibia; `edges` (m, 2) are its
+    mesh edges.
     """
     view, mirror, lean = resolve_view(protocol), [1.0, protocol.posture.mirror_y, 1.0], pose.lean_deg
     femur, upper = (

@@ -32,7 +32,7 @@ class KneeAssembly:
     jsw_protocol : Protocol
         Protocol under which the JSW is defined.
     jsw_pose : Pose
-        Pose of the leg under that protocol.
+        Pose of the leg under `jsw_protocol`.
     posture : Posture
         Posture of the leg.
     bone_parameters : BoneParameters
@@ -44,9 +44,10 @@ class KneeAssembly:
     pose : Pose
         Pose of the leg in `posture`.
     mirror : (float, float, float)
-        Factors of 1 or -1 in x, y and z. A left knee is mirrored in x, a view from the other side in y.
+        Factors of 1 or -1 in x, y and z. A left knee is mirrored in x. A view from the opposite direction is mirrored
+        in y.
     view_rotation : (3, 3) float64 array or None
-        Rotation of the leg into the view, before it is mirrored. None in a frontal view.
+        Rotation of the leg into the view, before mirroring. None in a frontal view.
     """
 
     jsw_protocol: Protocol
@@ -130,7 +131,7 @@ class KneeAssembly:
         return points if self.view_rotation is None else points @ self.view_rotation.T
 
     def orient_points(self, points: Array) -> Array:
-        """Rotate and mirror points of the posed right leg as the detector sees them.
+        """Rotate and mirror points of the posed right leg into the frame of the scene.
 
         Parameters
         ----------
@@ -161,12 +162,12 @@ class KneeAssembly:
         return Mesh(self.orient_points(mesh.vertices), faces)
 
 
-# Protocol that defines the JSW, by `Knee.jsw_definition`.
+# Name of the protocol that defines the JSW, keyed by `Knee.jsw_definition`.
 _JSW_PROTOCOLS = {"projected": "reference", "read": "fixed_flexion"}
 
 
 def load_jsw_protocol(knee: Knee) -> Protocol:
-    """Load the protocol under which the JSW of a knee is defined, by its `jsw_definition`.
+    """Load the protocol that defines the JSW of a knee, as named by `knee.jsw_definition`.
 
     Parameters
     ----------
@@ -203,7 +204,7 @@ def assemble_knee(knee: Knee, bone_parameters: BoneParameters, posture: Posture,
     Raises
     ------
     InputError
-        No pose gives the JSW, the femur cannot rest on the tibia in this flexion, or osteophytes conflict.
+        No pose gives the JSW, the femur cannot rest on the tibia in this flexion, or one osteophyte hides another.
     """
     prepare_template_bones(bone_parameters)
     femur = grow_femur_osteophytes(bone_parameters, knee.osteophytes)

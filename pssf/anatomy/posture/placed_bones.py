@@ -25,7 +25,7 @@ class PlacedBone:
     frame : (3, 4) float64 array
         Transform from the frame of the trabecular bone to the knee frame: rotation and translation (mm).
     is_worn : bool
-        True if another bone has worn it.
+        True if another bone has worn this bone.
     """
 
     solids: bone_shells.Bone

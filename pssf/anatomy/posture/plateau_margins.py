@@ -1,7 +1,7 @@
-"""Plateau margins: anterior and posterior margin of a tibial compartment, and beam alignment by them.
+"""Plateau margins: anterior and posterior margin of a tibial compartment, and beam alignment with the plateau.
 
 A margin is defined in a sagittal section of the compartment. It is the point where a line at 30 degrees to the
-horizontal of the tibia touches the bone from above, in front or behind. The section is half way between spine and
+horizontal of the tibia touches the bone from above, anteriorly or posteriorly. The section is halfway between spine and
 edge, where readers judge the alignment of a radiograph.
 """
 
@@ -25,13 +25,13 @@ from ..meshing.solids import find_crossing_sides
 from ..outlines.projected_contours import COMPARTMENT_RANGE
 from .knee_assembly import KneeAssembly
 
-# Angle of the tangent that defines a margin, degrees; the same as for the edges among the contour landmarks.
+# Angle between the horizontal of the tibia and the tangent at a margin, degrees. The edge landmarks use the same angle.
 _TANGENT_DEG = 30.0
 # Height in the frame of the tibia above which a point belongs to the plateau, mm.
 _MIN_PLATEAU_Z_MM = -30.0
 # Tolerance of the beam angle, degrees.
 _TOLERANCE_DEG = 1e-6
-# Sign of x of each compartment.
+# Sign of the x coordinate of each compartment, in the frame of the tibia.
 SIDE_SIGNS = {"medial": 1.0, "lateral": -1.0}
 
 
@@ -50,7 +50,7 @@ def find_plateau_margins(assembly: KneeAssembly, tibia: Mesh, side: str) -> Arra
     Returns
     -------
     (2, 3) float64 array
-        Anterior and posterior margin in the same frame, in mm.
+        Anterior and posterior margin in the frame of `tibia`, in mm.
     """
     frame = assembly.pose.tibia_transform()
     own = (tibia.vertices - frame[:, 3]) @ frame[:, :3]
@@ -62,7 +62,7 @@ def find_plateau_margins(assembly: KneeAssembly, tibia: Mesh, side: str) -> Arra
 
 
 def _cut_section(points: Array, faces: Indices, x: float) -> Array:
-    """Intersect the triangle sides with the plane at `x`; return y and z (n, 2) of the points above the shaft, mm."""
+    """Intersect the mesh edges with the plane at `x`; return y and z (n, 2) of the points above the shaft, mm."""
     starts, ends, share = find_crossing_sides(points[:, 0], faces, x)
     places = points[starts, 1:] + share[:, None] * (points[ends, 1:] - points[starts, 1:])
     return np.asarray(places[points[starts, 2] > _MIN_PLATEAU_Z_MM])
@@ -83,17 +83,16 @@ def measure_inter_margin_mm(assembly: KneeAssembly, tibia: Mesh, view: View) -> 
     Returns
     -------
     float
-        Height of the anterior margin above the posterior one, scaled to the joint plane, in mm.
+        Height of the anterior margin above the posterior margin, scaled to the joint plane, in mm.
 
     Raises
     ------
     InputError
-        The posture is not frontal (AP or PA), so the margins are not seen edge on.
+        The posture is not frontal (AP or PA), so the plateau is not projected edge-on.
     """
     if not assembly.posture.is_frontal:
         raise InputError(
-            f"projection must be AP or PA, where the plateau margins are seen edge on, "
-            f"got {assembly.posture.projection!r}"
+            f"projection must be AP or PA, where the plateau is projected edge-on, got {assembly.posture.projection!r}"
         )
     (front, back), _ = project_points(assembly.orient_points(find_plateau_margins(assembly, tibia, "medial")), view).T
     return float((back - front) * view.pixel_mm / magnification(view))
@@ -109,7 +108,7 @@ def align_beam_with_plateau(assembly: KneeAssembly, tibia: Mesh, protocol: Proto
     tibia : Mesh
         Outer surface of the posed tibia in the knee frame, before view rotation and mirroring, in mm.
     protocol : Protocol
-        Protocol whose `beam_angle_deg` counts from the direction of the plateau.
+        Protocol whose `beam_angle_deg` is relative to the direction of the plateau.
     range_deg : (float, float)
         Smallest and largest allowed beam angle, in degrees.
 

@@ -23,12 +23,12 @@ from ..template.template_femur import make_distance_field as femur_field
 from ..template.template_tibia import height_above_plateau_mm
 from ..template.template_tibia import make_distance_field as tibia_field
 
-# A vertex farther than this from the surface without osteophytes, in mm, belongs to an osteophyte.
-# Osteophytes carry no cartilage.
+# Smallest distance from the surface without osteophytes at which a vertex belongs to an osteophyte, in mm. Osteophytes
+# have no cartilage.
 _BONE_TOLERANCE_MM = 0.02
-# Number of rings of triangles around an osteophyte that carry no cartilage either.
+# Number of triangle rings around an osteophyte that have no cartilage either.
 _OSTEOPHYTE_RINGS = 3
-# Least thickness of a cartilage layer, in mm at template size; a thinner layer is removed.
+# Smallest thickness of a cartilage layer, in mm at template size; a thinner layer is removed.
 _MIN_THICKNESS_MM = 0.05
 # Largest number of times that the thickness is halved where the layer folds.
 _MAX_THINNINGS = 12
@@ -36,16 +36,16 @@ _MAX_THINNINGS = 12
 
 @dataclass(frozen=True)
 class CartilageLayer:
-    """Cartilage on one bone: the bone surface and the same surface raised by the layer.
+    """Cartilage on one bone, defined by the bone surface and the outer surface of the cartilage.
 
     Attributes
     ----------
     bone : (n, 3) float64 array
         Vertices of the bone surface at template size, in mm.
     top : (n, 3) float64 array
-        The same vertices, moved outward by the thickness of the layer. They are unchanged without cartilage.
+        Bone vertices moved outward by the thickness of the cartilage, in mm. Vertices without cartilage are unchanged.
     faces : (m, 3) integer array
-        Vertex indices of the triangles, wound outward. Both surfaces share them.
+        Vertex indices of the triangles, wound outward. Both surfaces have the same triangles.
     """
 
     bone: Array
@@ -74,7 +74,7 @@ class CartilageLayer:
 
     @property
     def has_cartilage(self) -> NDArray[np.bool_]:
-        """(n,) bool array: True for each vertex that carries cartilage."""
+        """(n,) bool array: True for each vertex that has cartilage."""
         return np.asarray((self.top != self.bone).any(axis=1))
 
     def select_cartilage_faces(self) -> Indices:
@@ -87,7 +87,7 @@ class CartilageLayer:
             triangles as the bone surface.
         """
         thick = self.has_cartilage
-        # Margin vertices have no thickness and belong to both sides. This closes the layer.
+        # The layer has no thickness at its margin, so margin vertices belong to both surfaces and close the layer.
         upper = np.where(thick, np.arange(len(thick)) + len(thick), np.arange(len(thick)))
         chosen = self.faces[thick[self.faces].any(axis=1)]
         return np.vstack((upper[chosen], chosen[:, ::-1]))
@@ -103,11 +103,12 @@ def build_femoral_cartilage(
     outer : Mesh
         Outer surface of the femur with its osteophytes, at template size, in mm.
     shape : TemplateAnatomy
-        Template anatomy, which bounds the articular surface.
+        Template anatomy, including the limits of the articular surface.
     scale : float
         Size of the bones relative to the template.
     jsw_mm : tuple of float
-        Medial and lateral JSW of the knee, in mm. The layer has the fraction ``shape.cartilage.share`` of it.
+        Medial and lateral JSW of the knee, in mm. The thickness of the layer is the fraction ``shape.cartilage.share``
+        of the JSW.
 
     Returns
     -------
@@ -137,11 +138,12 @@ def build_tibial_cartilage(
     outer : Mesh
         Outer surface of the tibia with its osteophytes, at template size and without tibial slope, in mm.
     shape : TemplateAnatomy
-        Template anatomy, which holds the ellipses of cartilage on the plateau.
+        Template anatomy, including the ellipses of cartilage on the plateau.
     scale : float
         Size of the bones relative to the template.
     jsw_mm : tuple of float
-        Medial and lateral JSW of the knee, in mm. The layer has the fraction ``shape.cartilage.share`` of it.
+        Medial and lateral JSW of the knee, in mm. The thickness of the layer is the fraction ``shape.cartilage.share``
+        of the JSW.
 
     Returns
     -------
@@ -162,7 +164,7 @@ def build_tibial_cartilage(
 def build_menisci(table: Menisci, scale: float) -> list[Manifold]:
     """Build the medial and lateral meniscus as rings that are open towards the tibial spines.
 
-    The rings overlap femur, tibia and cartilage. Subtracting these leaves the wedge shape of a meniscus.
+    The rings overlap femur, tibia and cartilage. Subtracting these tissues leaves the wedge shape of a meniscus.
 
     Parameters
     ----------
@@ -199,10 +201,10 @@ def _make_full_thickness_mm(shape: TemplateAnatomy, scale: float, jsw_mm: tuple[
 
 
 def _build_layer(outer: Mesh, field: ScalarField, margin_distance: ScalarField, full_mm: ScalarField) -> CartilageLayer:
-    """Build a layer that keeps clear of osteophytes and does not fold.
+    """Build a cartilage layer that leaves osteophytes uncovered and does not fold.
 
     `field` is the signed distance to the bone without osteophytes. `margin_distance` is negative inside the articular
-    surface. Both are in mm at template size, as is the full thickness `full_mm`.
+    surface. These two fields and the full thickness `full_mm` are in mm at template size.
     """
     points, faces = outer
     # The thickness increases from 0 at the margin to its full value over 4 mm.
@@ -228,7 +230,7 @@ def _build_layer(outer: Mesh, field: ScalarField, margin_distance: ScalarField, 
         thickness[folded] /= 2
         # The other triangles do not fold and need no further check.
         suspect = suspect[np.isin(suspect, folded).any(axis=1)]
-    # A thinner layer lies in a crease of the bone and would cross its opposite wall.
+    # A thinner layer is in a crease of the bone and would cross the opposite wall of the crease.
     thickness[thickness < _MIN_THICKNESS_MM] = 0.0
     while len(pinched := _find_pinched_vertices(faces, thickness > 0)):
         around = np.isin(np.arange(len(points)), pinched)
@@ -256,7 +258,7 @@ def _limit_thickness_in_hollows_mm(
 
 
 def _find_folded_vertices(bone: Array, top: Array, faces: Indices) -> NDArray[np.int64]:
-    """Find vertices of triangles that the layer turns by more than 70 degrees, because the hollow is too narrow."""
+    """Find vertices of triangles whose normals differ by more than 70 degrees between bone and cartilage surface."""
     below, above = (np.cross(p[faces[:, 1]] - p[faces[:, 0]], p[faces[:, 2]] - p[faces[:, 0]]) for p in (bone, top))
     size = lengths(below) * lengths(above)
     return np.unique(faces[(below * above).sum(axis=1) < 0.34 * size])

@@ -19,16 +19,16 @@ from ..posture.knee_assembly import KneeAssembly
 from . import cartilage_and_menisci
 from .tendons_and_fat_pad import build_fat_pad, build_patellar_tendon, build_quadriceps_tendon
 
-# Smallest volume of a part, in mm3. Subtraction leaves smaller splinters, which are dropped.
+# Smallest volume of a part, in mm3. Subtraction leaves smaller splinters, which are removed.
 _MIN_PART_MM3 = 1.0
-# Two solids that share no more than this volume, in mm3, do not overlap: it is rounding error.
+# Largest shared volume of two solids that counts as a rounding error and not as overlap, in mm3.
 _MIN_OVERLAP_MM3 = 1e-6
-# Below this JSW, in mm, the cartilage of one bone may meet the other bone away from where JSW is measured.
+# JSW, in mm, below which the cartilage of one bone may overlap the other bone outside the range where JSW is measured.
 _NARROW_JSW_MM = 3.0
-# Tolerance for simplifying the fat mesh, in mm. It is smaller than the margin between the fat and other tissue.
-# Muscle edges need no finer mesh, because rays cross centimetres of other tissue there.
+# Tolerance for simplifying the fat mesh, in mm. It is smaller than the margin between the fat and other tissue. Muscle
+# edges need no finer mesh, because a ray through such an edge crosses centimetres of other tissue.
 _SIMPLIFY_TOLERANCE_MM = 0.1
-# All soft tissue lies within this height above and below the joint line, in mm.
+# Largest distance of soft tissue above and below the joint line, in mm.
 _MAX_HEIGHT_MM = 230.0
 
 
@@ -39,9 +39,9 @@ class SoftTissuePart:
     Attributes
     ----------
     name : str
-        Name of its surface in the scene, such as ``"medial_meniscus"``.
+        Name of the surface in the scene, such as ``"medial_meniscus"``.
     material : str
-        Name of its material, such as ``"cartilage"``.
+        Name of the material, such as ``"cartilage"``.
     mesh : Mesh
         Closed surface in the knee frame, in mm.
     """
@@ -53,14 +53,14 @@ class SoftTissuePart:
 
 @dataclass(frozen=True)
 class CoveredBone:
-    """A femur or tibia with its cartilage.
+    """Femur or tibia with its cartilage.
 
     Attributes
     ----------
     layer : CartilageLayer
         Cartilage layer at template size.
     cartilage_part : SoftTissuePart
-        The same cartilage in the knee frame.
+        Cartilage as a closed surface in the knee frame.
     top_mm : (n, 3) float64 array
         Vertices of the bone covered by its cartilage, in the knee frame, in mm.
     """
@@ -126,9 +126,9 @@ def build_joint_tissues(
     covered_bones : tuple of CoveredBone
         Femur and tibia with their cartilage.
     muscle : Manifold
-        Everything within the fascia, in the knee frame.
+        Solid of the volume within the fascia, in the knee frame.
     fat : Manifold
-        Everything within the fascia except the muscles, before bones and joint are subtracted.
+        Solid of the volume within the fascia except the muscles, before bones and joint tissues are subtracted.
 
     Returns
     -------
@@ -179,8 +179,8 @@ def _carve_intermuscular_fat(
 ) -> SoftTissuePart:
     """Subtract bones, joint tissues and tendon sheaths from the fat between the muscles.
 
-    Bones and joint tissues are widened by `cover` (rows of height and thickness, in mm). No face of the fat
-    therefore coincides with a face of another tissue, where rounding could make them overlap.
+    Bones and joint tissues are enlarged by `cover` (rows of height and thickness, in mm). No face of the fat therefore
+    coincides with a face of another tissue. Rounding could make coinciding faces overlap.
     """
     meshes = {name: extract_mesh(bone.outer) for name, bone in placed_bones.items()} | {
         part.name: part.mesh for part in parts
@@ -189,8 +189,8 @@ def _carve_intermuscular_fat(
     for name in ("patellar_tendon", "quadriceps_tendon", "fat_pad"):
         meshes.pop(name, None)
     small = [[meshes.pop(name)] for name in placed_bones if name not in ("femur", "tibia", "patella")]
-    # The meshes that remain are femur, tibia, their cartilage and the menisci: they share one cover, which also
-    # fills the joint space.
+    # The remaining meshes are femur, tibia, their cartilage and the menisci. These meshes get one common cover, which
+    # also fills the joint space.
     covers = [
         build_envelope(group, cover, "cover of bones", _MAX_HEIGHT_MM)
         for group in (list(meshes.values()), patella, *small)
@@ -201,7 +201,7 @@ def _carve_intermuscular_fat(
 
 
 def _add_effusion_cover(cover: Rows, effusion_profile: Rows, effusion_mm: float) -> Rows:
-    """Return the tissue that covers the bones with an effusion, as rows of height and thickness, in mm."""
+    """Add the thickness of an effusion to the tissue cover; return rows of height and thickness, in mm."""
     if effusion_mm == 0:
         return cover
     usual, swollen = (np.array(sorted(rows)).T for rows in (cover, effusion_profile))
@@ -213,11 +213,12 @@ def _add_effusion_cover(cover: Rows, effusion_profile: Rows, effusion_mm: float)
 def _carve_cartilage(
     femoral: SoftTissuePart, tibial: SoftTissuePart, placed_bones: dict[str, bone_shells.Bone], narrow: bool
 ) -> list[SoftTissuePart]:
-    """Subtract the patella from the cartilage of femur and tibia, and in a narrow joint also the opposite bone."""
+    """Subtract the patella from the femoral cartilage and, in a narrow joint, the opposite bone from each cartilage."""
     parts = [part for part in (femoral, tibial) if len(part.mesh.faces)]
     takes: dict[str, list[Manifold]] = {part.name: [] for part in parts}
     patella = placed_bones["patella"].outer
-    # The cartilage nearly always keeps clear of the patella. Checking this takes a fifth of the time of a solid.
+    # The femoral cartilage rarely touches the patella. The test of the meshes takes a fifth of the time of building a
+    # solid.
     if femoral in parts and not are_meshes_disjoint(femoral.mesh, extract_mesh(patella)):
         takes[femoral.name].append(patella)
     met = parts if narrow else [part for part in parts if takes[part.name]]
@@ -241,7 +242,7 @@ def _carve_cartilage(
 def _carve_parts(
     tissues: list[tuple[str, str, Manifold]], obstacles: list[Manifold], muscle: Manifold
 ) -> list[SoftTissuePart]:
-    """Limit tissues (name, material, solid) to the fascia, then subtract obstacles and the tissues before each one."""
+    """Crop tissues (name, material, solid) to the fascia; subtract obstacles and earlier tissues from each tissue."""
     apart: list[Manifold] = []
     for _, _, solid in tissues:
         left = solid ^ muscle
@@ -257,7 +258,11 @@ def _carve_parts(
 
 
 def _subtract_bones(solids: list[Manifold], bones: list[Manifold]) -> list[Manifold]:
-    """Subtract bones from solids; solids that do not touch are cut together, since bones have far more faces."""
+    """Subtract bones from solids.
+
+    Solids that do not touch each other are cut together. This reduces the number of Boolean operations on bones, which
+    have far more faces.
+    """
     left = list(range(len(solids)))
     carved = list(solids)
     while left:
@@ -270,14 +275,15 @@ def _subtract_bones(solids: list[Manifold], bones: list[Manifold]) -> list[Manif
         whole = Manifold.compose(list(own.values()))
         for bone in _select_touching(whole, bones):
             whole = whole - bone
-            # Evaluate now. Otherwise manifold3d first unites the bones, which takes twice as long.
+            # The status call evaluates the subtraction. Otherwise, manifold3d unites all bones first, which doubles the
+            # time.
             whole.status()
         whose = {solid.original_id(): i for i, solid in own.items()}
         pieces: dict[int | None, list[Manifold]] = {i: [] for i in (None, *group)}
         for piece in whole.decompose():
             pieces[_find_source_solid(piece, whose)].append(piece)
         for i in group:
-            if pieces[None]:  # A splinter or cavity is bounded by bone faces alone and has no owner.
+            if pieces[None]:  # A splinter or cavity with only bone faces has no source.
                 carved[i] = Manifold.batch_boolean([solids[i], *_select_touching(solids[i], bones)], OpType.Subtract)
             else:
                 carved[i] = Manifold.compose(pieces[i])
@@ -285,7 +291,7 @@ def _subtract_bones(solids: list[Manifold], bones: list[Manifold]) -> list[Manif
 
 
 def _find_source_solid(piece: Manifold, owners: dict[int, int]) -> int | None:
-    """Return the index of the solid that a piece came from, or None if all its faces come from bones.
+    """Return the index of the source solid of a component, or None if all faces of the component come from bones.
 
     `owners` maps the original id of each solid to its index.
     """
@@ -303,7 +309,7 @@ def _find_patella_poles(patella: Manifold) -> tuple[Array, Array]:
 
 
 def _build_patellar_cartilage(patella: Manifold, table: PatellaShape, scale: float, frame: Array) -> Manifold:
-    """Build a layer of cartilage thickness behind the patella, before bones are subtracted.
+    """Build the patellar cartilage as a layer behind the patella, before bones are subtracted.
 
     `frame` is the (3, 4) transform of the femur into the knee frame, in mm.
     """
@@ -314,7 +320,7 @@ def _build_patellar_cartilage(patella: Manifold, table: PatellaShape, scale: flo
 
 
 def _select_touching(solid: Manifold, others: list[Manifold]) -> list[Manifold]:
-    """Select the solids whose bounding box overlaps that of a given solid."""
+    """Select the solids whose bounding boxes overlap the bounding box of a given solid."""
     box = np.array(solid.bounding_box())
     boxes = [np.array(other.bounding_box()) for other in others]
     meet = [(b[:3] < box[3:]).all() and (box[:3] < b[3:]).all() for b in boxes]

@@ -1,4 +1,4 @@
-"""Bending of the straight limb behind the flexed knee, along an arc that preserves its thickness."""
+"""Bending of the straight limb for a flexed knee, along an arc that preserves the limb thickness."""
 
 from dataclasses import dataclass
 
@@ -9,24 +9,24 @@ from ...core.checks import Array, InputError
 
 # Posterior coordinate of the flexion axis of limb and femur in the template anatomy, in mm.
 _PIVOT_Y_MM = 4.0
-# Proximal coordinate of the same axis, in mm.
+# Proximal coordinate of the flexion axis, in mm.
 _PIVOT_Z_MM = 23.0
 # Length of the arc along which the limb bends, at template size, in mm.
 _ARC_MM = 140.0
-# Up to this flexion, in degrees, the limb is sheared level by level. Shearing is nearly the same as bending and
-# thins the limb by the cosine of the angle.
+# Largest flexion at which the limb is only sheared, level by level, in degrees. Shearing approximates bending and thins
+# the limb by the cosine of the angle.
 _SHEARED_TO_DEG = 40.0
-# From this flexion on, in degrees, the limb is bent only; the shear decreases linearly between both angles.
+# Smallest flexion at which the limb is only bent, in degrees. Between the two angles, the shear decreases linearly.
 _BENT_FROM_DEG = 45.0
 # Longest edge of a bent mesh, in mm. An arc then deviates from its chord by less than the fascia thickness.
 _MAX_EDGE_MM = 9.0
-# Least distance of the skin behind the knee from the centre of the arc, as a fraction of the arc radius. The skin
+# Smallest distance of the skin behind the knee from the centre of the arc, as a fraction of the arc radius. The skin
 # would fold at the centre.
 _MIN_RADIUS_FRACTION = 0.1
 
 
 def shear_angle_deg(flexion_deg: float) -> float:
-    """Return the part of a flexion that the limb follows by shearing; the rest bends it.
+    """Return the part of the flexion angle that is modelled by shearing the limb; bending models the rest.
 
     Parameters
     ----------
@@ -151,7 +151,7 @@ class LimbBend:
 
 
 def build_limb_bend(flexion_deg: float, scale: float) -> LimbBend:
-    """Build the arc for a flexion, without the part that the limb follows by shearing.
+    """Build the arc that bends the limb by the flexion angle minus the shear angle.
 
     Parameters
     ----------

@@ -13,7 +13,8 @@ from .limb_bend import build_limb_bend, shear_angle_deg
 from .muscles import FASCIA_POWER, build_intermuscular_fat
 from .skin_folds import add_skin_folds
 
-# Least tissue between bone and fascia, in mm. It is hardly thicker over the patella and the tibial crest.
+# Smallest tissue thickness between bone and fascia, in mm. Over the patella and the tibial crest, tissue is hardly
+# thicker.
 _MIN_COVER_MM = 3.0
 # Height above the joint line from which the flexed thigh leans backwards, in mm.
 THIGH_START_Z_MM = 20.0
@@ -21,8 +22,8 @@ THIGH_START_Z_MM = 20.0
 _SIMPLIFY_TOLERANCE_MM = 0.03
 # Heights of the rings of the limb, in mm.
 _LEVELS_MM = np.linspace(-205.0, 205.0, 38)
-# A flexed thigh comes closer to the joint line. It is extended upwards to keep its end out of the image.
-# Largest extension, in mm.
+# Largest upward extension of the thigh, in mm. Flexion moves the end of the thigh towards the joint line; the extension
+# keeps this end out of the image.
 _LONGER_MM = 150.0
 # Extension per degree of bending, in mm.
 _LONGER_PER_DEG_MM = 4.0
@@ -46,13 +47,14 @@ def build_soft_tissue_layers(
     flexion_deg : float
         Flexion of the femur, in degrees; the thigh follows it.
     bone_points_mm : (n, 3) float64 array
-        Vertices of all bones in the frame of the leg, in mm. The limb is widened where they need more room.
+        Vertices of all bones in the frame of the leg, in mm. The limb is widened where it would not enclose these
+        vertices.
 
     Returns
     -------
     dict of str to Manifold
-        ``"skin"``, ``"adipose"`` and ``"muscle"``, each filled to its outer surface, and ``"intermuscular_fat"``,
-        which lies within ``"muscle"``; in the frame of the leg, in mm.
+        ``"skin"``, ``"adipose"`` and ``"muscle"``, each as a solid up to its outer surface, and
+        ``"intermuscular_fat"`` inside ``"muscle"``. All solids are in the frame of the leg, in mm.
 
     Raises
     ------
@@ -69,8 +71,8 @@ def build_soft_tissue_layers(
     longer_mm = _compute_thigh_extension_mm(bend.angle_deg, float(straight_mm[:, 2].max()))
     rows += [[rows[-1][0] + longer_mm, *rows[-1][1:]]] if longer_mm else []
     coarse = _lean_with_shafts(np.array(rows), shear_angle_deg(flexion_deg), bone_parameters)
-    # The patella lies in front of the centre of the limb. A section that is too small for the bones therefore
-    # moves towards them before it widens.
+    # The patella is anterior to the centre of the limb. A section that is too small for the bones therefore moves
+    # towards them before it widens.
     coarse = _add_effusion(_resample(coarse), bone_parameters.shape.effusion, knee.effusion_mm)
     fascia = _enclose_points(coarse - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), straight_mm)
     rings = np.append(_LEVELS_MM, np.arange(1.0, 1.0 + longer_mm // _RING_MM) * _RING_MM + _LEVELS_MM[-1])
@@ -94,9 +96,9 @@ def build_soft_tissue_layers(
 
 
 def _compute_thigh_extension_mm(angle_deg: float, femur_to_mm: float) -> float:
-    """Return how far the thigh continues above the rings of the limb, in mm.
+    """Return the length of the thigh above the highest ring of the limb, in mm.
 
-    A bent thigh and a femur that reaches above the rings need an extension.
+    A bent thigh needs this extension, and so does a femur that ends above the rings.
     """
     over_mm = femur_to_mm + 2 * _MIN_COVER_MM - _LEVELS_MM[-1]
     held_mm = float(np.ceil(over_mm / _RING_MM)) * _RING_MM if over_mm > 0.0 else 0.0
@@ -113,7 +115,7 @@ def _resample(sections: Array) -> Array:
 
 
 def _add_effusion(sections: Array, table: EffusionShape, effusion_mm: float) -> Array:
-    """Widen sections (n, 5) and shift them medially to hold an effusion."""
+    """Widen sections (n, 5) and shift them medially to contain an effusion."""
     more_mm = effusion_mm * np.interp(sections[:, 0], *np.array(table.height_profile).T)
     swollen = sections.copy()
     swollen[:, 1] += table.medial / 2 * more_mm
@@ -123,7 +125,7 @@ def _add_effusion(sections: Array, table: EffusionShape, effusion_mm: float) -> 
 
 
 def _enclose_points(sections: Array, points_mm: Array) -> Array:
-    """Move and widen sections (n, 5) until every point (n, 3) lies inside by at least the least cover, in mm."""
+    """Move and widen sections (n, 5) until they enclose all points (n, 3) with the smallest tissue thickness, in mm."""
     held = sections.copy()
     reach = np.abs(np.diff(sections[:, 0])).max() * 1.5
     bands = [points_mm[np.abs(points_mm[:, 2] - z) < reach] for z in sections[:, 0]]
@@ -138,7 +140,7 @@ def _enclose_points(sections: Array, points_mm: Array) -> Array:
             x = np.abs(near[:, 0] - held[k, 4]) / (held[k, 1] - _MIN_COVER_MM)
             y = np.abs(near[:, 1] - held[k, 3]) / (held[k, 2] - _MIN_COVER_MM)
             growth[k] = max(1.0, float((x**FASCIA_POWER + y**FASCIA_POWER).max() ** (1 / FASCIA_POWER)))
-    # A moving average of a moving maximum of the same width is smooth and never falls below the growth itself.
+    # A moving average of a moving maximum of the same width is smooth and never falls below the original growth factor.
     growth = ndimage.uniform_filter1d(ndimage.maximum_filter1d(growth, 9, mode="nearest"), 9, mode="nearest")
     held[:, 1:3] *= growth[:, None]
     return held

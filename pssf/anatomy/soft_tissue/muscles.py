@@ -14,16 +14,16 @@ _STEP_MM = 12.0
 _COUNT = 20
 # Length of the rounded end of a muscle at template size, in mm.
 _END_ROUNDING_MM = 14.0
-# Exponent of the superellipse of a limb section.
+# Exponent of the superellipse that describes the limb cross-section.
 FASCIA_POWER = 2.25
-# Exponent of the superellipse of a muscle section.
+# Exponent of the superellipse that describes a muscle cross-section.
 _POWER = 2.2
 
 
 def build_intermuscular_fat(
     muscles: tuple[MuscleShape, ...], table: DeepFat, fascia: Array, levels: Array, scale: float
 ) -> Manifold:
-    """Build the fat within the fascia: the volume outside the muscles, before bones and joint are subtracted.
+    """Build the fat within the fascia: the volume outside the muscles, before bones and joint tissues are subtracted.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def build_intermuscular_fat(
     table : DeepFat
         Thickness of the fascia and of the tissue that covers bones and tendons, in mm.
     fascia : (n, 5) float64 array, mm
-        Sections of the fascia: z, half ML, half AP, centre y and centre x, in mm, with rising z.
+        Sections of the fascia: z, half ML, half AP, centre y and centre x, in mm, in the order of increasing z.
     levels : (k,) float64 array, mm
         Heights of the rings of the fascia, in mm. With other heights the fat could protrude from the fascia.
     scale : float
@@ -41,7 +41,7 @@ def build_intermuscular_fat(
     Returns
     -------
     Manifold
-        Fat and all tissue other than muscle, in the frame of the straight leg, in mm.
+        Solid of the fat and all other tissue except muscle, in the frame of the straight leg, in mm.
     """
     within = fascia - np.array([0.0, table.fascia_mm, table.fascia_mm, 0.0, 0.0])
     whole = loft_column(within, np.zeros_like, levels[1:-1], "fat within the fascia", power=FASCIA_POWER, count=40)

@@ -9,19 +9,19 @@ from ...data.anatomy.soft_tissue_tables import SkinFold
 
 # Number of rings that model half the width of a furrow.
 _RINGS_PER_HALF_WIDTH = 3
-# Largest height difference of a fold between knees, up or down, in mm (assumed).
+# Largest vertical shift of a fold from its template height, up or down, in mm (assumed).
 _HIGHER_MM = 6.0
-# Largest rise of a fold from its centre to its end, in mm (assumed).
+# Largest height difference between the centre and the end of a tilted fold, in mm (assumed).
 _RISE_MM = 5.0
-# Random stream of the form seed that is used for skin folds; bones and plateau use other streams.
+# Key of the random stream for skin folds, which uses the form seed. Bones and plateau use other keys.
 _SEED_STREAM = 8
 
 
 class _Furrow(NamedTuple):
     """Furrow of one skin fold.
 
-    `middle_mm` and `share`, both (count,), are its height and its depth as a fraction of the fat at each angle.
-    `half_mm` is half its width.
+    `middle_mm` and `share`, both (count,), are the height of the furrow and its depth as a fraction of the fat, at each
+    angle. `half_mm` is half the width of the furrow.
     """
 
     middle_mm: Array
@@ -55,7 +55,7 @@ def add_skin_folds(
     scale : float
         Size of the bones relative to the template. The heights of the folds scale with it.
     seed : int
-        Seed for location and depth of the folds of this knee.
+        Seed of the location and depth of the folds of this knee.
 
     Returns
     -------

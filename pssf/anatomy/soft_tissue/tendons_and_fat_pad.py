@@ -70,7 +70,7 @@ def build_patellar_tendon(
 def build_quadriceps_tendon(
     part: QuadricepsTendon, scale: float, base_mm: Array, femur_frame: Array, sheath_mm: float = 0.0
 ) -> Manifold:
-    """Build the quadriceps tendon from the base of the patella up along the femur, before bones are subtracted.
+    """Build the quadriceps tendon from the patellar base upwards along the femur, before bones are subtracted.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
-"""Bone deformation: map points of the template bones into the bones of one knee.
+"""Bone deformation: map points of the template bones to the bones of one knee.
 
-A template bone has its own frame, the mean male size and a straight shaft. A free-form lattice deforms it into the
-bone of one person. Beyond the lattice, the shaft continues straight; it is then set upright in the sagittal plane.
-The tibial plateau gets its slope, and each shaft gets its lean in the frontal plane. The angles of a knee therefore
-hold for its bones, whatever their shape.
+A template bone has its own frame, the mean male size and a straight shaft. A free-form lattice deforms it into the bone
+of one person. Beyond the lattice, the shaft continues straight. The bone is then rotated until its shaft is upright in
+the sagittal plane. Finally, the tibial plateau gets its posterior slope, and each shaft gets its lean in the frontal
+plane. The bone shape therefore does not change the specified angles of a knee.
 """
 
 from collections.abc import Callable
@@ -36,31 +36,31 @@ from .template_bone import SubchondralPlates, TemplateBone
 from .template_femur import make_template_femur
 from .template_tibia import make_template_tibia, plateau_height_mm
 
-# Nearest point of the shaft section that determines its lean, mm from the joint at template size.
+# Start of the shaft segment in which the lean of the shaft is measured, mm from the joint at template size.
 _LEAN_FROM_MM = 55.0
-# Farthest point of that section, mm at template size; beyond it the shaft continues straight with this lean.
+# End of this segment, mm from the joint at template size. Beyond it, the shaft continues straight with this lean.
 _LEAN_TO_MM = 85.0
 # Distances from the joint between which the angle of the shaft is measured, mm at the size of the knee.
 _SHAFT_MM = (115.0, 165.0)
-# Points per ring when the centre of a shaft section is computed.
+# Number of points per ring that is used to compute the centre of a shaft section.
 _RING_POINTS = 48
-# Distance of the epiphysis from the joint end, mm at template size.
+# Distance from the joint end to the point that represents the epiphysis, mm at template size.
 _EPIPHYSIS_MM = 15.0
-# Length over which a lean begins smoothly, mm; it keeps the metaphysis free of a kink.
+# Length over which the lean of a shaft increases smoothly, mm; without it, the metaphysis would have a kink.
 _RAMP_LENGTH_MM = 15.0
-# Medio-lateral distance from the centre to the points at which the fall of the plateau is measured, mm.
+# Medio-lateral distance from the centre to the points at which the slope of the plateau is measured, mm.
 _PLATEAU_X_MM = 22.0
 # Antero-posterior distance from the centre to these points, mm.
 _PLATEAU_Y_MM = 13.0
-# Fixed-point iterations that find these points on the deformed plateau.
+# Number of fixed-point iterations that find these points on the deformed plateau.
 _PLATEAU_ITERATIONS = 4
-# Depth below the plateau at which the tibial slope has faded out, below the tuberosity, mm at template size.
+# Depth below the plateau at which the tibial slope reaches 0, mm at template size; this depth is below the tuberosity.
 _SLOPE_END_MM = 60.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class BoneDeformation:
-    """Difference between the femur or tibia of one person and that of the template anatomy.
+    """Deformation of the template femur or tibia into the bone of one person.
 
     Attributes
     ----------
@@ -71,15 +71,15 @@ class BoneDeformation:
     roughness_zones : tuple of RoughnessZone
         Zones with a rough surface.
     seeds : Seeds
-        Seeds of the roughness.
+        Seeds of the surface roughness.
     growth_zones : tuple of GrowthZone
         Zones in which bone has grown.
     bone_growth_mm : float
         Amount of growth, in mm at template size.
     shaft_lean_xy : (float, float)
-        Lean of the shaft beyond the lattice, along x and y, in mm per mm away from the joint.
+        Lean of the shaft beyond the lattice, along x and y, in mm per mm of distance from the joint.
     frontal_lean : float
-        Lean of the shaft along x after it is set upright in the sagittal plane, in mm per mm away from the joint.
+        Lean of the shaft along x after the upright rotation, in mm per mm of distance from the joint.
     """
 
     lattice: Lattice
@@ -92,7 +92,7 @@ class BoneDeformation:
     frontal_lean: float = 0.0
 
     def upright_rotation(self) -> Array:
-        """Compute the rotation about x that sets the shaft upright in the sagittal plane.
+        """Compute the rotation about x that makes the shaft upright in the sagittal plane.
 
         Returns
         -------
@@ -104,7 +104,7 @@ class BoneDeformation:
         return np.array([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
 
     def epiphysis_transform(self, scale: float) -> Array:
-        """Compute the rigid motion of the epiphysis from the template frame.
+        """Compute the rigid transform of the epiphysis from the template frame to the frame of the bone.
 
         Parameters
         ----------
@@ -114,7 +114,8 @@ class BoneDeformation:
         Returns
         -------
         (3, 4) float64 array
-            Rotation and translation (mm). Structures near the joint, such as the trabecular lattice, follow it.
+            Rotation and translation (mm). Structures near the joint, such as the trabecular lattice, follow this
+            transform.
         """
         joint = np.array([[0.0, 0.0, self.shaft_sign * _EPIPHYSIS_MM]])
         turn = self.upright_rotation()
@@ -142,9 +143,9 @@ class BoneParameters:
     plates : SubchondralPlates
         Thickness of the subchondral bone plates relative to the template.
     slope_deg : float
-        Posterior tibial slope, mean of both compartments, in degrees.
+        Posterior tibial slope, mean of the medial and lateral compartment, in degrees.
     plateau_fall_per_mm : float
-        Posterior fall of the deformed plateau before the slope is applied, in mm per mm.
+        Posterior slope of the deformed plateau before the specified slope is applied, in mm per mm.
     femur_valgus_deg : float
         Angle by which the femoral shaft leans laterally towards its proximal end, in degrees.
     tibia_varus_deg : float
@@ -188,7 +189,7 @@ class BoneParameters:
 
 
 def resolve_bone_parameters(knee: Knee, tables: AnatomyTables) -> BoneParameters:
-    """Resolve the parameters of a knee into deformations of the template bones.
+    """Compute the deformations of the template bones from the parameters of a knee.
 
     Parameters
     ----------
@@ -215,8 +216,8 @@ def resolve_bone_parameters(knee: Knee, tables: AnatomyTables) -> BoneParameters
         )
         for name, end in (("femur", +1), ("tibia", -1))
     )
-    # The tibia keeps the lean of this person. The femur gets the lean that gives the normal angle of a straight leg.
-    # An additional varus angle is divided equally between both bones.
+    # The tibial shaft keeps the lean that its shape gives. The lean of the femoral shaft gives a straight leg its
+    # normal angle. An additional varus angle is divided equally between femur and tibia.
     varus = float(np.rad2deg(np.arctan(tibia.frontal_lean)))
     return BoneParameters(
         tables=tables,
@@ -237,7 +238,7 @@ def resolve_bone_parameters(knee: Knee, tables: AnatomyTables) -> BoneParameters
 def _resolve_plates(knee: Knee, scale: float, spongy: TrabecularBone) -> SubchondralPlates:
     """Compute the thickness of the subchondral bone plates relative to the template.
 
-    Sclerosis thickens the plate on the loaded side; the other side gets a fraction of it.
+    Sclerosis thickens the plate on the sclerotic side. The plate on the other side gets a fraction of this thickening.
     """
     healthy = knee.cortex_scale / scale
     excess, share = knee.subchondral_plate - 1, spongy.sclerosis.other_side
@@ -291,7 +292,7 @@ def deform_template_points(points: Array, deformation: BoneDeformation) -> Array
         Points of the deformed bone at template size, in mm. The shaft is upright in the sagittal plane.
     """
     beyond = np.maximum(deformation.shaft_sign * points[:, 2] - _LEAN_TO_MM, 0.0)
-    # Beyond the end of the lattice its displacements stay constant, and the shaft continues straight.
+    # Beyond the end of the lattice, the displacements stay constant and the shaft continues straight.
     places = displace_points(points - beyond[:, None] * [0.0, 0.0, deformation.shaft_sign], deformation.lattice)
     places += beyond[:, None] * [*deformation.shaft_lean_xy, deformation.shaft_sign] + compute_roughness_mm(
         points, deformation.roughness_zones, deformation.seeds, deformation.shaft_sign
@@ -301,7 +302,7 @@ def deform_template_points(points: Array, deformation: BoneDeformation) -> Array
 
 
 def smooth_ramp_mm(beyond_mm: Array) -> Array:
-    """Compute a ramp that is 0 before a point, starts smoothly and then rises with slope 1.
+    """Compute a ramp that is 0 before a point, starts smoothly and then increases with slope 1.
 
     Parameters
     ----------
@@ -311,7 +312,7 @@ def smooth_ramp_mm(beyond_mm: Array) -> Array:
     Returns
     -------
     (n,) float64 array
-        Value of the ramp, in mm. It rises quadratically over the first 15 mm.
+        Value of the ramp, in mm. It increases quadratically over the first 15 mm.
     """
     beyond = np.maximum(beyond_mm, 0.0)
     return np.where(beyond < _RAMP_LENGTH_MM, beyond**2 / (2 * _RAMP_LENGTH_MM), beyond - _RAMP_LENGTH_MM / 2)
@@ -415,7 +416,8 @@ def apply_tibial_slope(points_mm: Array, bone_parameters: BoneParameters) -> Arr
     Returns
     -------
     (n, 3) float64 array
-        Points with the slope, in mm. The effect fades with depth; the shaft below the tuberosity stays unchanged.
+        Points after the slope is applied, in mm. The slope decreases with depth; the shaft below the tuberosity stays
+        unchanged.
     """
     places = points_mm.copy()
     fade = np.clip(1 + places[:, 2] / (_SLOPE_END_MM * bone_parameters.scale), 0.0, 1.0) ** 2
@@ -426,7 +428,7 @@ def apply_tibial_slope(points_mm: Array, bone_parameters: BoneParameters) -> Arr
 
 
 def compute_plateau_fall_per_mm(deformation: BoneDeformation, shape: TibiaShape) -> float:
-    """Compute the posterior fall of a deformed plateau before the slope is applied.
+    """Compute the posterior slope of a deformed plateau before the specified slope is applied.
 
     Parameters
     ----------
@@ -438,11 +440,11 @@ def compute_plateau_fall_per_mm(deformation: BoneDeformation, shape: TibiaShape)
     Returns
     -------
     float
-        Fall in mm per mm towards posterior, mean of both compartments.
+        Decrease in height towards posterior, in mm per mm, mean of the medial and lateral compartment.
     """
     x, y = np.repeat([_PLATEAU_X_MM, -_PLATEAU_X_MM], 2), np.tile([-_PLATEAU_Y_MM, _PLATEAU_Y_MM], 2)
     places = np.column_stack((x, y, plateau_height_mm(x, y, shape.relief)))
-    # The fall is measured at fixed x and y of the deformed plateau, so the template points are found by iteration.
+    # The slope is measured at fixed x and y of the deformed plateau, so the template points are found by iteration.
     for _ in range(_PLATEAU_ITERATIONS):
         places[:, :2] -= deform_template_points(places, deformation)[:, :2] - np.column_stack((x, y))
         places[:, 2] = plateau_height_mm(places[:, 0], places[:, 1], shape.relief)

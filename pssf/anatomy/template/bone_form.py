@@ -23,7 +23,7 @@ class BoneShapeModel:
     Attributes
     ----------
     mean : Lattice
-        Deformation of the template bone into the mean of the population, in the frame of the bone.
+        Deformation of the template bone into the mean bone of the population, in the frame of the bone.
     modes_mm : (modes, nx, ny, nz, 3) float64 array
         Change of the lattice displacements per standard deviation of each mode, in mm.
     """
@@ -42,7 +42,7 @@ class BoneShapeModel:
         Returns
         -------
         Lattice
-            Deformation of the template bone into this bone.
+            Deformation of the template bone into the bone with these scores.
 
         Raises
         ------
@@ -82,12 +82,12 @@ def build_shape_model(table: ShapeModel) -> KneeShapeModel:
     Returns
     -------
     KneeShapeModel
-        The same model as lattices.
+        Shape model with lattices.
 
     Raises
     ------
     ValueError
-        The numbers of a bone do not match its lattice and the number of modes.
+        The displacements of a bone do not match the size of its lattice or the number of modes.
     """
     lattices = {name: getattr(table.lattices, name) for name in ("femur", "tibia", "patella")}
     return KneeShapeModel(
@@ -97,12 +97,12 @@ def build_shape_model(table: ShapeModel) -> KneeShapeModel:
 
 
 def build_lattices(scores: Sequence[float], shape_model: KneeShapeModel) -> dict[str, Lattice]:
-    """Build the lattices that deform the template bones into those of one knee.
+    """Build the lattices that deform the template bones into the bones of one knee.
 
     Parameters
     ----------
     scores : sequence of float
-        Scores in standard deviations, in the order of the modes. Missing scores are 0, the mean.
+        Scores in standard deviations, in the order of the modes. Missing scores are 0, which is the mean.
     shape_model : KneeShapeModel
         Shape model.
 

@@ -1,7 +1,7 @@
 """Local displacements of the bone surface: roughness and growth.
 
-Roughness adds ridges and pits where the bone bears no cartilage; they give faint lines on radiographs. It also adds
-variation of shape that is too fine for the shape modes.
+Roughness adds ridges and pits where the bone has no cartilage; they appear as faint lines on radiographs. Roughness
+also adds shape variation that is too fine for the shape modes.
 """
 
 from typing import NamedTuple
@@ -25,7 +25,7 @@ class Seeds(NamedTuple):
     texture : int
         Seed of the surface texture.
     form : int
-        Seed of the variation of shape that the shape modes do not resolve.
+        Seed of the shape variation that is too fine for the shape modes.
     """
 
     texture: int
@@ -53,7 +53,7 @@ def compute_roughness_mm(points: Array, zones: tuple[RoughnessZone, ...], seeds:
     Returns
     -------
     (n, 3) float64 array
-        Displacement in mm; 0 outside the zones, rising smoothly towards the centre of each zone.
+        Displacement in mm: 0 outside the zones, and increasing smoothly towards the centre of each zone.
     """
     moves = np.zeros_like(points)
     for number, zone in enumerate(zones):
@@ -114,6 +114,6 @@ def is_in_zones(points: Array, zones: tuple[RoughnessZone, ...]) -> NDArray[np.b
 
 
 def _compute_squared_zone_distance(points: Array, zone: RoughnessZone | GrowthZone) -> Array:
-    """Compute the squared distance (n,) from the centre of a zone, relative to its edge: 1 on the edge."""
+    """Compute the squared normalised distance (n,) from the centre of a zone: 0 at the centre, 1 on the edge."""
     x, y, z = (((points[:, axis] - zone.centre[axis]) / zone.half[axis]) ** 2 for axis in range(3))
     return np.asarray(x + y + z)

@@ -1,4 +1,4 @@
-"""Variation of cortical thickness along a bone of one person, around its mean thickness."""
+"""Variation of cortical thickness along the bone of one person, relative to the mean thickness at each point."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from ...core.checks import Array
 from ...data.anatomy.bone_tables import CorticalThicknessVariation
 from ..meshing.wave_noise import compute_wave_noise
 
-# Values beyond this number of standard deviations are clipped.
+# Largest deviation from the mean thickness, in standard deviations (values beyond it are clipped).
 MAX_SD = 2.0
 
 
@@ -31,7 +31,7 @@ def compute_thickness_factor(
     Returns
     -------
     (n,) float64 array
-        Factor on the mean thickness, dimensionless; the same for the same seed and bone.
+        Factor by which the mean thickness is multiplied, dimensionless. Equal seed and bone give equal factors.
     """
     lengths_mm = (table.shortest_mm, table.longest_mm)
     waves = compute_wave_noise(points, lengths_mm, seed, (101, *bone.encode())).clip(-MAX_SD, MAX_SD)

@@ -40,38 +40,40 @@ SOURCES = (
 )
 # Libraries whose versions are part of the cache key.
 _LIBRARIES = ("manifold3d", "numpy", "scipy")
-# Vertices are stored as multiples of this grid, mm: far finer than needed, compact, and the same on all machines.
+# Grid spacing of stored vertices, mm. Coordinates are stored as integer multiples of this spacing, which are compact
+# and the same on all machines.
 _GRID_MM = 2.0**-20
-# Meshing tolerance of inner surfaces, mm; it is coarser, because trabeculae blur the edge of the cortex.
+# Meshing tolerance of inner surfaces, mm. It is coarser than the tolerance of outer surfaces, because trabeculae blur
+# the inner edge of the cortex.
 _INNER_TOLERANCE_MM = 0.03
-# Depths along the inward paths of the vertices, mm; the last one exceeds the thickest cortex.
+# Depths at which the inward path of each vertex is stored, mm; the largest depth exceeds the thickest cortex.
 _DEPTHS_MM = (0.0, 0.5, 1.0, 1.75, 2.75, 4.0, 5.5, 7.5)
-# Newton iterations from one depth to the next.
+# Number of Newton iterations from one depth to the next.
 _STEPS = 4
 # Largest number of iterations until depth and thickness at that depth agree.
 _TURNS = 12
 # Depth and thickness agree if the last step was smaller than this, mm.
 _SETTLED_MM = 0.005
-# An edge is split if deformation would move its midpoint off the edge by more than this, mm.
+# Largest distance by which deformation may move the midpoint of an edge off the edge, mm. Other edges are split.
 _BENT_MM = 0.05
-# Largest number of rounds of splitting.
+# Largest number of edge-splitting rounds.
 _SPLITS = 5
-# Distance from the mean shape for which edges are made short enough, in standard deviations.
+# Largest deviation from the mean shape for which edges are made short enough, in standard deviations.
 _FAR_SD = 2.0
 # Longest edge in a roughness zone, mm: a quarter of the shortest wavelength.
 _ROUGH_EDGE_MM = 2.0
 
 
 BoneShapeT = TypeVar("BoneShapeT", FemurShape, TibiaShape)
-# Maps points (n, 3), in mm, relative cortex and relative plate thickness to the thickness of the shell (n,), in mm.
+# Maps points (n, 3), in mm, relative cortical thickness and relative plate thickness to shell thickness (n,), in mm.
 ShellThickness = Callable[[Array, float, float | Array], Array]
-# Maps points (n, 3), in mm, and thickness (n,), in mm, to a local factor on the thickness (n,).
+# Maps points (n, 3), in mm, and thickness (n,), in mm, to local thickness factors (n,), dimensionless.
 ThicknessFactor = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True)
 class SubchondralPlates:
-    """Thickness of the subchondral bone plates relative to the template, by side.
+    """Thickness of the medial and the lateral subchondral bone plate relative to the template.
 
     Parameters
     ----------
@@ -80,7 +82,7 @@ class SubchondralPlates:
     lateral : float
         Relative thickness on the lateral side, dimensionless.
     middle_mm : float
-        Width of the transition between both sides, in mm.
+        Width of the transition between the medial and the lateral side, in mm.
     """
 
     medial: float
@@ -113,13 +115,12 @@ class TemplateBone:
     name : str
         Name of the bone.
     field : callable
-        Approximate signed distance from the outer surface: points (n, 3), in mm, to values (n,), in mm, negative
-        inside.
+        Maps points (n, 3), in mm, to approximate signed distances (n,) from the outer surface, in mm, negative inside.
     shell_thickness_mm : callable
         Thickness (n,) of cortex or subchondral bone plate, in mm. Its arguments are points (n, 3), in mm, relative
         thickness of the cortex and relative thickness of the plate (number or (n,)).
     build_csg_solid : callable
-        Builds the same bone as a Boolean combination of parts, with hard creases.
+        Function that builds the same bone as a Boolean combination of parts, with sharp creases.
     edge_mm : float
         Longest edge of the mesh away from the shaft, in mm.
     tolerance_mm : float
@@ -150,7 +151,7 @@ class TemplateBone:
     def compute_depth_mm(
         self, cortex: float, plates: SubchondralPlates, uneven: ThicknessFactor | None = None
     ) -> Array:
-        """Compute the thickness of cortex and subchondral bone plate along the inward paths of the coarse surface.
+        """Compute the thickness of cortex and subchondral bone plate along the inward path of each coarse vertex.
 
         Parameters
         ----------
@@ -159,8 +160,8 @@ class TemplateBone:
         plates : SubchondralPlates
             Thickness of the subchondral bone plates relative to the template.
         uneven : callable or None
-            Local factor on the thickness: points (n, 3), in mm, and thickness (n,), in mm, to factors (n,). None means
-            1 everywhere.
+            Maps points (n, 3), in mm, and thickness (n,), in mm, to local thickness factors (n,). None means 1
+            everywhere.
 
         Returns
         -------
@@ -201,7 +202,7 @@ class TemplateBone:
         return Mesh(_interpolate_at_depth(ways, depth_mm), faces)
 
     def prepare(self) -> None:
-        """Build the solids now or read them from the cache, unless this has been done."""
+        """Build the solids or read them from the cache, unless they are in memory already."""
         _ = self._stored_parts
 
     def mesh_to_tolerance(self, tolerance_mm: float) -> Manifold:
@@ -349,7 +350,7 @@ def refine_for_deformation(
     Returns
     -------
     Manifold
-        The same solid with shorter edges.
+        `solid` with shorter mesh edges.
 
     Raises
     ------
@@ -373,9 +374,9 @@ def refine_for_deformation(
 
 
 def _compute_sagitta_mm(places: Array, edges: Indices, middles: Array, shape_model: BoneShapeModel) -> Array:
-    """Compute how far deformation moves the midpoints of edges (n, 2) off the edges, mm.
+    """Compute the distances (n,) by which deformation moves the midpoints of edges (n, 2) off the edges, mm.
 
-    The result (n,) is for shapes two standard deviations from the mean.
+    The distances apply to shapes two standard deviations from the mean.
     """
 
     def bend(displacements_mm: Array) -> Array:

@@ -1,4 +1,4 @@
-"""Distal femur of a right knee: shaft, two condyles, epicondyles, trochlear groove and notch, blended.
+"""Distal femur of a right knee: shaft, two condyles, epicondyles, trochlear groove and notch, blended with fillets.
 
 Frame of the bone at template size, in mm: x medial, y posterior, z proximal, z = 0 at the distal end of the condyles.
 """
@@ -49,14 +49,15 @@ def make_template_femur(shape: FemurShape, forms: ShapeModel) -> TemplateBone:
     Returns
     -------
     TemplateBone
-        The template femur; the same object for the same arguments.
+        Template femur. Equal arguments return the same object.
     """
     return make_template_bone(
         "femur", shape, make_distance_field(shape), _compute_shell_thickness_mm, _build_csg_solid, forms
     )
 
 
-# When Python ends, manifold3d writes a message to standard error if solids still exist; an empty cache prevents it.
+# When Python ends, manifold3d writes a message to standard error if solids still exist. An empty cache prevents this
+# message.
 atexit.register(make_template_femur.cache_clear)
 
 
@@ -94,7 +95,7 @@ def make_distance_field(shape: FemurShape) -> ScalarField:
 def condyle_distance_mm(points: Array, condyle: Condyle) -> Array:
     """Compute the approximate signed distance of points from one condyle.
 
-    The condyle is an oval in the sagittal plane, extended medio-laterally and tapered towards both sides.
+    The condyle is an oval in the sagittal plane. It is extended medio-laterally and tapers medially and laterally.
 
     Parameters
     ----------
@@ -164,7 +165,8 @@ def _compute_shell_thickness_mm(
 ) -> Array:
     """Compute the thickness (n,) of cortex or subchondral bone plate at points (n, 3), mm.
 
-    `cortex_scale` and `plate_scale` are relative to the template; the latter is a number or an array (n,).
+    `cortex_scale` and `plate_scale` are thicknesses relative to the template. `plate_scale` is a number or an array
+    (n,).
     """
     share = np.clip((shape.plate_below_z - points[:, 2]) / 4.0, 0.0, 1.0)
     share *= np.clip((shape.plate_within_x - np.abs(points[:, 0])) / 4.0, 0.0, 1.0)
@@ -177,7 +179,7 @@ def _compute_shell_thickness_mm(
 
 
 def _build_csg_solid(shape: FemurShape) -> Manifold:
-    """Build the femur as a Boolean combination of its parts, with hard creases."""
+    """Build the femur as a Boolean combination of its parts, with sharp creases."""
     sections = np.array(shape.sections)
     heights = np.concatenate((np.arange(sections[:, 0].min(), 70.0, 2.5), np.linspace(70.0, _SHAFT_CUT_Z_MM, 54)))
     solid = loft_column(sections, np.zeros_like, heights, "femur shaft", count=72)

@@ -1,4 +1,4 @@
-"""Proximal tibia of a right knee: flared shaft, plateau with two spines, and tuberosity, blended.
+"""Proximal tibia of a right knee: flared shaft, plateau with two spines, and tuberosity, blended with fillets.
 
 Frame of the bone at template size, in mm: x medial, y posterior, z proximal, z = 0 at the centre of a level plateau.
 """
@@ -46,14 +46,15 @@ def make_template_tibia(shape: TibiaShape, forms: ShapeModel) -> TemplateBone:
     Returns
     -------
     TemplateBone
-        The template tibia; the same object for the same arguments.
+        Template tibia. Equal arguments return the same object.
     """
     return make_template_bone(
         "tibia", shape, make_distance_field(shape), _compute_shell_thickness_mm, _build_csg_solid, forms
     )
 
 
-# When Python ends, manifold3d writes a message to standard error if solids still exist; an empty cache prevents it.
+# When Python ends, manifold3d writes a message to standard error if solids still exist. An empty cache prevents this
+# message.
 atexit.register(make_template_tibia.cache_clear)
 
 
@@ -123,7 +124,7 @@ def plateau_height_mm(x: Array, y: Array, relief: tuple[PlateauGaussian, ...]) -
 
 
 def _equalise_depth(points: Array, shape: TibiaShape) -> Array:
-    """Scale points (n, 3) antero-posteriorly as if both sides of the plateau had the depth of its centre, mm."""
+    """Scale points (n, 3) antero-posteriorly until medial and lateral plateau have the depth of the centre, mm."""
     fade = np.clip(1 - points[:, 2] / shape.deeper_above_z, 0.0, 1.0) ** 2
     places = points.copy()
     places[:, 1] /= 1 + np.clip(shape.deeper_medially * points[:, 0], -0.15, 0.15) * fade
@@ -150,9 +151,10 @@ def _compute_shell_thickness_mm(
 ) -> Array:
     """Compute the thickness (n,) of cortex or subchondral bone plate at points (n, 3), mm.
 
-    `cortex_scale` and `plate_scale` are relative to the template; the latter is a number or an array (n,).
+    `cortex_scale` and `plate_scale` are thicknesses relative to the template. `plate_scale` is a number or an array
+    (n,).
     """
-    # The subchondral bone plate blends into the cortex of the sides over the first 3 mm below the surface.
+    # The subchondral bone plate blends into the cortex of the metaphysis over the first 3 mm below the surface.
     share = np.clip(1 + height_above_plateau_mm(points, shape.relief) / 3.0, 0.0, 1.0)
     plates = shape.plate_mm + plateau_height_mm(points[:, 0], points[:, 1], shape.plates)
     return np.asarray(
@@ -161,7 +163,7 @@ def _compute_shell_thickness_mm(
 
 
 def _build_csg_solid(shape: TibiaShape) -> Manifold:
-    """Build the tibia as a Boolean combination of its parts, with hard creases."""
+    """Build the tibia as a Boolean combination of its parts, with sharp creases."""
     sections = np.array(shape.sections)
     heights = np.concatenate((np.linspace(_SHAFT_CUT_Z_MM, -60.0, 56), np.arange(-57.5, sections[:, 0].max(), 2.5)))
     shaft = loft_column(sections, np.zeros_like, heights, "tibia shaft", count=72)

@@ -1,6 +1,7 @@
 """Density integrals: integrate trabecular density along line segments.
 
-A fixed number of segments is processed side by side in one array, so that the compiler vectorises all inner loops.
+A fixed number of segments is processed side by side in one array, so that the compiler vectorises all inner loops. Each
+segment is divided into intervals, in which the smooth part of the density is interpolated linearly.
 """
 
 import math
@@ -16,7 +17,7 @@ from .density_region import DensityParameters
 from .segment_rows import LANES, PLANE_TOLERANCE, StrutVoxels
 from .smooth_density import fill_nodes
 
-# Distance beyond which the physeal scar is negligible, in half thicknesses.
+# Distance beyond which the physeal scar is negligible, in half thicknesses of the scar.
 _SCAR_REACH = 30.0
 
 VoxelIndices = NDArray[np.int32]
@@ -30,7 +31,7 @@ class SamplingSteps(NamedTuple):
     samples_per_voxel : int
         Samples per voxel of the strut lattice.
     samples_per_piece : int
-        Samples per piece; the smooth part of the density is linear within a piece.
+        Samples per interval of a segment; the smooth part of the density is linear within an interval.
     """
 
     samples_per_voxel: int
@@ -39,20 +40,20 @@ class SamplingSteps(NamedTuple):
 
 @kernel_helper()
 def _integrate_hat(x: float) -> float:
-    """Integrate twice a hat function from 0 to x; the hat is 1 at 0 and falls to 0 at -1 and 1."""
+    """Compute twice the integral from 0 to x of a hat function, which is 1 at 0 and 0 at -1 and 1."""
     x = min(max(x, -1.0), 1.0)
     return x * (2.0 - abs(x))
 
 
 @kernel_helper()
 def _add_sample(lanes: Array, places: VoxelIndices, struts: StrutVoxels, i: int, above: int) -> None:
-    """Add the contribution of the struts at sample `i` of the pieces to the integrals.
+    """Add the contribution of the struts at sample `i` of the intervals to the integrals.
 
     `above` selects the lattice plane: 0 for the plane below the sample, 1 for the plane above.
     """
     (nx, nz, ny), voxels = struts.size, struts.voxels
     row, col, unit = (nz + 1) * ny, ny, 0.5 * struts.normalisation
-    # Weights for linear interpolation at a fraction c past a plane: 1 - c for the plane below, c for the one above.
+    # Weights for linear interpolation at a fraction c past a plane: 1 - c for the plane below, c for the plane above.
     whole, part = 1.0 - above, 2.0 * above - 1.0
     for n in range(LANES):
         a = np.int32(lanes[r.NEAR + r.A + n] + i * lanes[r.RISE + r.A + n])
@@ -90,7 +91,7 @@ def _begin_segments(
     struts: StrutVoxels,
     steps: SamplingSteps,
 ) -> None:
-    """Fill in the lines of the segments from number `first` on.
+    """Write the line parameters of the segments from number `first` on into the work array.
 
     The last segment is repeated until all lanes are full. `starts` and `ends` (n, 3) are in the knee frame, mm;
     `bone_transform` (3, 4) maps into the frame of the bone.
@@ -131,9 +132,9 @@ def _begin_segments(
 
 @kernel_helper()
 def _advance_piece(lanes: Array, piece: int) -> tuple[int, int, int]:
-    """Compute the changes over a piece and add the smooth part of its density.
+    """Compute the change per sample in the current interval and integrate the smooth part of the density.
 
-    Returns the first sample, the last sample and the number of lattice planes per sample.
+    Return the first sample, the last sample and the number of lattice planes per sample.
     """
     for k in range(7 * LANES):
         lanes[r.RISE + k] = (lanes[r.FAR + k] - lanes[r.NEAR + k]) / piece
@@ -149,7 +150,7 @@ def _advance_piece(lanes: Array, piece: int) -> tuple[int, int, int]:
         lanes[r.TOTAL + n] += lanes[r.ADDED + n]
         if lanes[r.LOW + n] < lanes[r.HIGH + n]:
             first, last = min(first, lanes[r.LOW + n]), max(last, lanes[r.HIGH + n])
-            # Each sample lies on one lattice plane; on an oblique ray, it lies between two.
+            # Each sample is on one lattice plane; on an oblique ray, each sample is between two planes.
             if abs(abs(lanes[r.RISE + r.C + n]) - 1.0) > 1e-9:
                 planes = 2
     return int(first), math.ceil(last), planes
@@ -157,7 +158,10 @@ def _advance_piece(lanes: Array, piece: int) -> tuple[int, int, int]:
 
 @kernel_helper()
 def _is_scar_near(lanes: Array, n: int) -> bool:
-    """Test whether the physeal scar is near; the whole piece decides, so that integrals over its parts add up."""
+    """Test whether the physeal scar is near the current interval.
+
+    The test considers the whole interval, so that integrals over parts of the interval add up.
+    """
     over, beyond = lanes[r.NEAR + r.OVER + n], lanes[r.FAR + r.OVER + n]
     return (
         (lanes[r.LOW + n] < lanes[r.HIGH + n]) & (min(over, beyond) < _SCAR_REACH) & (max(over, beyond) > -_SCAR_REACH)
@@ -166,7 +170,10 @@ def _is_scar_near(lanes: Array, n: int) -> bool:
 
 @kernel_helper()
 def _add_scar(lanes: Array) -> None:
-    """Add the contribution of the physeal scar over a piece; its profile is (1 + q^2)^-1.5."""
+    """Add the contribution of the physeal scar over an interval.
+
+    The profile of the scar is (1 + q^2)^-1.5, where q is the height above the scar in half thicknesses.
+    """
     level = 0
     for n in range(LANES):
         low, high, over, rise = (
@@ -211,19 +218,19 @@ def integrate_density(
     bone_transform : (3, 4) float64 array, mm
         Transform from the knee frame to the frame of the bone.
     struts : StrutVoxels
-        Strut lattice as placed in the bone.
+        Strut lattice and its position in the bone.
     region : DensityParameters
         Smooth part of the density.
     steps : SamplingSteps
         Sampling density.
     out : (n,) float64 array, mm
-        Integrals of relative density, overwritten.
+        Output array, overwritten with the integrals of relative density.
 
     Notes
     -----
     Sample positions do not depend on where a segment begins on its line, so integrals of consecutive segments add up.
-    For rays approximately along y, the samples are on the planes of the lattice. For other rays, they are at multiples
-    of a step from the point nearest to the origin.
+    For rays approximately along y, the samples are on the planes of the lattice. For other rays, the samples are at
+    multiples of a step from the point nearest to the origin.
     """
     lanes, places = np.zeros(40 * LANES), np.empty(LANES, np.int32)
     for segment in range(0, len(starts), LANES):

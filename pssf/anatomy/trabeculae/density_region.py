@@ -20,55 +20,55 @@ class DensityParameters(NamedTuple):
     shaft : float
         BV/TV far down the shaft, dimensionless.
     fade_per_mm : float
-        Inverse of the depth at which BV/TV is halfway between both, in 1/mm.
+        Inverse of the depth at which BV/TV is halfway between `bvtv` and `shaft`, in 1/mm.
     medial : float
-        Relative rise of BV/TV towards the medial side, dimensionless.
+        Relative increase of BV/TV on the medial side, and decrease on the lateral side, dimensionless.
     middle_mm : float
         Width of the transition between the medial and the lateral side, in mm.
     load : float
-        Relative rise of BV/TV in the columns under the condyles, and fall between them, dimensionless.
+        Relative increase of BV/TV in the columns under the condyles, and decrease between these columns, dimensionless.
     column_mm : float
-        Distance of these columns from the midline, in mm.
+        Distance of the columns under the condyles from the midline, in mm.
     column_per_mm : float
-        Inverse of the half width of the columns, in 1/mm.
+        Inverse of the half width of the columns under the condyles, in 1/mm.
     margin_mm : float
-        Distance from the midline beyond which BV/TV falls, in mm.
+        Distance from the midline beyond which BV/TV decreases, in mm.
     margin_per_mm : float
-        Inverse of the distance beyond `margin_mm` at which half of the BV/TV is left, in 1/mm.
+        Inverse of the distance beyond `margin_mm` at which BV/TV has decreased to half, in 1/mm.
     plate : float
-        Relative rise of BV/TV at the subchondral bone plate, dimensionless.
+        Relative increase of BV/TV at the subchondral bone plate, dimensionless.
     plate_per_mm : float
-        Inverse of the depth at which half of this rise is left, in 1/mm.
+        Inverse of the depth at which the increase at the plate has decreased to half, in 1/mm.
     plate_struts : float
-        Fraction of this rise that consists of thicker struts.
+        Fraction of the increase at the plate that consists of thicker struts.
     plate_medial : float
-        Relative increase of this rise towards the medial side, dimensionless.
+        Relative increase of `plate` on the medial side, and decrease on the lateral side, dimensionless.
     between : float
-        Fraction of this rise that is missing under the medial spine.
+        Fraction of the increase at the plate that is missing under the medial spine.
     between_mm : float
-        Position of this reduction along x, in mm.
+        Position along x of the reduction under the medial spine, in mm.
     between_per_mm : float
-        Inverse of the distance at which a quarter of the reduction is left, in 1/mm.
+        Inverse of the distance from `between_mm` at which the reduction has decreased to a quarter, in 1/mm.
     struts : float
-        Relative rise of the strut contrast near the joint, dimensionless.
+        Relative increase of the strut contrast near the joint, dimensionless.
     struts_per_mm : float
-        Inverse of the depth at which a quarter of this rise is left, in 1/mm.
+        Inverse of the depth at which the increase of the strut contrast has decreased to a quarter, in 1/mm.
     hard_medial : float
-        Relative rise of BV/TV by sclerosis on the medial side, dimensionless.
+        Relative increase of BV/TV due to sclerosis on the medial side, dimensionless.
     hard_lateral : float
-        Relative rise of BV/TV by sclerosis on the lateral side, dimensionless.
+        Relative increase of BV/TV due to sclerosis on the lateral side, dimensionless.
     hard_per_mm : float
-        Inverse of the depth at which a quarter of the rise by sclerosis is left, in 1/mm.
+        Inverse of the depth at which the increase due to sclerosis has decreased to a quarter, in 1/mm.
     strut_convergence : float
         Fraction by which struts converge far down the shaft.
     strut_convergence_mm : float
-        Depth at which they have converged by half, in mm.
+        Depth at which the struts have converged by half, in mm.
     strut_flattening : float
         Factor by which horizontal struts are closer together, and vertical struts farther apart, than in the lattice.
     joint : (float, float, float)
         Circle in the sagittal plane that approximates the joint surface: centre y, centre z and radius, in mm.
     below : float
-        Height above the centre of this circle beyond which its surface continues straight up, in mm.
+        Height above the centre of the circle `joint` beyond which the joint surface continues vertically, in mm.
     dips : three of (float, float, float)
         Elevations of the joint surface along x: centre in mm, inverse of the half width in 1/mm, height in mm.
     rim : float
@@ -78,13 +78,13 @@ class DensityParameters(NamedTuple):
     rim_mm : float
         Depth below the nominal joint surface at which the rim ends, in mm.
     rim_per_mm : float
-        Inverse of the width of both transitions of the rim, in 1/mm.
+        Inverse of the width of the two transitions at the borders of the rim, in 1/mm.
     gain : float
-        Contrast of the struts, from 0 (none) to 1 (no bone between them).
+        Contrast of the struts, from 0 (no contrast) to 1 (no bone between the struts).
     gain_load : float
-        Relative rise of the contrast in the columns under the condyles, dimensionless.
+        Relative increase of the contrast in the columns under the condyles, dimensionless.
     gain_shaft : float
-        Contrast far down the shaft, from 0 to 1.
+        Contrast of the struts far down the shaft, from 0 to 1.
     scar_off_mm : float
         Distance from the midline at which the physeal scar is strongest on either side, in mm.
     scar_y : float
@@ -100,11 +100,11 @@ class DensityParameters(NamedTuple):
     scar_dome_per_mm : float
         Coefficient of the squared distance from `scar_y` in the height of the scar, in 1/mm.
     scar_ripple_mm : float
-        Amplitude of the ripple, in mm.
+        Amplitude of the ripple of the scar, in mm.
     scar_ripple_per_mm : float
-        Angular frequency of the ripple along x, in rad/mm.
+        Angular frequency of the ripple of the scar along x, in rad/mm.
     scar_bvtv : float
-        BV/TV that the scar adds at most, dimensionless.
+        Largest BV/TV that the scar adds, dimensionless.
     scar_lateral : float
         Fraction of `scar_bvtv` on the lateral side.
     scar_medial : float
@@ -112,15 +112,16 @@ class DensityParameters(NamedTuple):
     scar_per_mm : float
         Inverse of the half thickness of the scar, in 1/mm.
     scar_wide_per_mm : float
-        Inverse of the distance from its strongest point at which a quarter of the scar is left, in 1/mm.
+        Inverse of the distance from the strongest point of the scar at which its BV/TV has decreased to a quarter, in
+        1/mm.
     sway_mm : float
         Amplitude of the lateral waves of the struts, in mm at actual size.
     sway_per_mm : float
-        Angular frequency of these waves along z, in rad/mm.
+        Angular frequency of the lateral waves along z, in rad/mm.
     sway_across : float
-        Angular frequency along x as a fraction of that along z.
+        Angular frequency of the lateral waves along x, as a fraction of that along z.
     sway_phase : float
-        Phase of these waves, in rad.
+        Phase of the lateral waves, in rad.
     scale : float
         Size of the bone relative to the template, dimensionless.
     per_scale : float

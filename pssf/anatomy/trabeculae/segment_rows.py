@@ -7,27 +7,29 @@ from .strut_lattice import VoxelBlock
 
 # Number of segments that are processed side by side.
 LANES = 32
-# Offsets of the rows of the work array; each row has LANES elements, one per segment. These rows describe a segment.
+# Offsets of the rows of the work array; each row has LANES elements, one per segment. These rows describe a segment. A
+# segment is divided into intervals (pieces), in which the smooth part of the density is linear.
 (
     X,  # x of a point on the line of the segment, mm
-    Y,  # y of this point, mm
-    Z,  # z of this point, mm
+    Y,  # y of the point on the line, mm
+    Z,  # z of the point on the line, mm
     DX,  # x of the unit direction
     DY,  # y of the unit direction
     DZ,  # z of the unit direction
     STEP,  # length of a step along the line, mm
     START,  # position on the line at which the segment begins, in steps
-    STOP,  # position at which it ends, in steps
-    END,  # position at which the current piece ends, in steps
+    STOP,  # position on the line at which the segment ends, in steps
+    END,  # position on the line at which the current interval ends, in steps
     LENGTH,  # length of the segment, mm
     TOTAL,  # integral of BV/TV so far, in steps
-    LOW,  # start of the part of the current piece inside the segment, in steps from the start of the piece
-    HIGH,  # end of this part, in steps from the start of the piece
+    LOW,  # start of the part of the current interval inside the segment, in steps from the start of the interval
+    HIGH,  # end of the part of the current interval inside the segment, in steps from the start of the interval
 ) = range(0, 14 * LANES, LANES)
-# Offsets of three blocks that describe the current piece; each block holds the seven rows below.
+# Offsets of three blocks of rows that describe the current interval of each segment. Each block consists of the seven
+# rows A to SCAR below.
 (
-    NEAR,  # values at the near end of the piece
-    FAR,  # values at the far end of the piece
+    NEAR,  # values at the near end of the interval
+    FAR,  # values at the far end of the interval
     RISE,  # change from one sample to the next
 ) = range(14 * LANES, 35 * LANES, 7 * LANES)
 # Offsets of the rows within each block.
@@ -40,23 +42,25 @@ LANES = 32
     OVER,  # height above the physeal scar, in half thicknesses of the scar
     SCAR,  # BV/TV that the scar adds
 ) = range(0, 7 * LANES, LANES)
-# Offsets of rows for the current sample and the current piece.
+# Offsets of rows for the current sample and the current interval.
 (
     ONE,  # lattice value at the first corner around the sample
     TWO,  # lattice value at the next corner along z
     THREE,  # lattice value at the next corner along x
     FOUR,  # lattice value at the opposite corner
-    ADDED,  # integral of BV/TV over the current piece without struts, in steps
+    ADDED,  # integral of BV/TV over the current interval without struts, in steps
 ) = range(35 * LANES, 40 * LANES, LANES)
 
-# A point this close to a voxel plane counts as on it, which halves the work, in voxels.
+# Largest distance from a voxel plane at which a point counts as on the plane, in voxels; such points need half the
+# work.
 PLANE_TOLERANCE = 1e-6
-# Offset of lattice coordinates, in voxels: a multiple of all periods that keeps them positive, so truncation is floor.
+# Offset that keeps lattice coordinates positive, in voxels, so that truncation equals floor. It is a multiple of all
+# lattice periods.
 PERIOD_OFFSET = 65536.0
 
 
 class StrutVoxels(NamedTuple):
-    """Strut lattice as placed in one bone.
+    """Strut lattice and its position in one bone.
 
     Attributes
     ----------

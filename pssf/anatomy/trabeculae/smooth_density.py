@@ -1,4 +1,4 @@
-"""Smooth density: evaluate the smooth part of the trabecular density and lattice coordinates at ends of pieces."""
+"""Smooth density: evaluate the smooth part of the trabecular density and lattice coordinates at interval ends."""
 
 import math
 
@@ -15,7 +15,7 @@ from .segment_rows import (
     StrutVoxels,
 )
 
-# Pi in two parts, so that multiples of the first one are exact in double precision.
+# Pi in two parts, so that multiples of the first part are exact in double precision.
 _PI = (3.1415926534682512, 1.2154201013012384e-10)
 # Taylor coefficients of the sine from x^21 down to x^3; the remainder at a quarter turn is 2e-18.
 _SINE_COEFFICIENTS = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(10, 0, -1))
@@ -30,7 +30,7 @@ def _bell(x: float) -> float:
 
 @kernel_helper()
 def _evaluate_soft_step(x: float) -> float:
-    """Evaluate a step that falls smoothly from 1 at 0 to a half at 1."""
+    """Evaluate a smooth step: 1 at 0, a half at 1, and approaching 0 beyond."""
     return 1.0 / (1.0 + x * x * x * x * x * x)
 
 
@@ -42,7 +42,10 @@ def _sigmoid(x: float) -> float:
 
 @kernel_helper()
 def _sine(x: float) -> float:
-    """Compute the sine of up to thousands of radians to 3e-16, by arithmetic that compiles to vector instructions."""
+    """Compute the sine to 3e-16 by arithmetic that compiles to vector instructions.
+
+    The argument may be thousands of radians.
+    """
     half = np.int32(x * (1.0 / math.pi) + (PERIOD_OFFSET + 0.5))
     # Whole half turns are subtracted with pi in two parts, because the product with the first part is exact.
     x = (x - (half - PERIOD_OFFSET) * _PI[0]) - (half - PERIOD_OFFSET) * _PI[1]
@@ -55,7 +58,7 @@ def _sine(x: float) -> float:
 
 @kernel_helper()
 def _rim_bone_fraction(x: float, below_mm: float, region: DensityParameters) -> float:
-    """Compute the fraction of bone at a point: 1 except in the rim of the medial plateau, above the floor."""
+    """Compute the factor on BV/TV due to the rim of the medial plateau: below 1 in the rim, 1 elsewhere."""
     beyond, above = x - region.rim_from_mm, region.rim_mm - below_mm
     return 1.0 - region.rim * _sigmoid(beyond * region.rim_per_mm) * _sigmoid(above * region.rim_per_mm)
 
@@ -88,7 +91,7 @@ def _depth_below_joint_mm(x: float, y: float, z: float, region: DensityParameter
 
 @kernel_helper()
 def fill_nodes(lanes: Array, region: DensityParameters, struts: StrutVoxels) -> None:
-    """Fill in density and lattice coordinates at the far ends of the current pieces.
+    """Write density and lattice coordinates at the far ends of the current intervals into the work array.
 
     Parameters
     ----------
@@ -97,7 +100,7 @@ def fill_nodes(lanes: Array, region: DensityParameters, struts: StrutVoxels) -> 
     region : DensityParameters
         Smooth part of the density.
     struts : StrutVoxels
-        Strut lattice as placed in the bone.
+        Strut lattice and its position in the bone.
     """
     for n in range(LANES):
         at = lanes[r.END + n] * lanes[r.STEP + n]

@@ -12,11 +12,11 @@ from ...data.anatomy.trabecular_table import StrutLattice
 VoxelBlock = NDArray[np.uint8]
 # Limit of the exponent: at this value the bone content is 0, and above 88 the exponential overflows.
 _EXPONENT_LIMIT = np.float32(80.0)
-# Planes that are processed together, so that float32 data stay small and in the processor cache.
+# Number of planes that are processed together; their float32 data fit into the processor cache.
 _PLANES_PER_CHUNK = 8
 # Largest deviation of a person from the median, in standard deviations (values beyond it are clipped).
 _MAX_SD = 2.0
-# Protects the cache, which holds only the last lattice.
+# Lock of the cache, which stores only the last lattice.
 _LOCK = Lock()
 _CACHE: dict[tuple[int, StrutLattice], tuple[VoxelBlock, float]] = {}
 
@@ -44,7 +44,7 @@ def make_strut_lattice(seed: int, table: StrutLattice) -> tuple[VoxelBlock, floa
     The lattice is a Gaussian random field with a soft threshold: bone where the field is high, nearly none elsewhere.
     The y axis comes last in memory, because rays run approximately along it. Only the last lattice is kept.
     """
-    with _LOCK:  # a second thread waits for the lattice of the first one
+    with _LOCK:  # A second thread waits until the first thread has made the lattice.
         if (seed, table) not in _CACHE:
             _CACHE.clear()
             _CACHE[seed, table] = _synthesise_lattice(seed, table)
@@ -101,7 +101,7 @@ def _synthesise_lattice(seed: int, table: StrutLattice) -> tuple[VoxelBlock, flo
 def _compute_power_spectra(table: StrutLattice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Compute the power spectra of struts and of patches, each with variance 1.
 
-    Each has shape (nx / 2 + 1, nz / 2 + 1, waves along y) and holds only frequencies that are not negative.
+    Each spectrum has shape (nx / 2 + 1, nz / 2 + 1, waves along y) and contains only non-negative frequencies.
     """
     steps = (np.fft.rfftfreq(n, d).astype(np.float32) for n, d in zip(table.voxels, table.voxel_mm, strict=True))
     fx, fz, fy = np.meshgrid(*steps, indexing="ij", sparse=True)
@@ -113,7 +113,7 @@ def _compute_power_spectra(table: StrutLattice) -> tuple[NDArray[np.float32], ND
     power = (total + np.float32(table.low_per_mm) ** 2) ** np.float32(table.low_frequency_exponent / 2)
     power /= 1 + (total / np.float32(table.high_per_mm) ** 2) ** np.float32(table.high_frequency_exponent / 2)
     power *= table.vertical_power * up + table.horizontal_power * level + table.isotropic_power
-    # Dense and sparse patches have the same extent along x and y, and are taller along z.
+    # Patches of dense and sparse bone have equal extent along x and y and a larger extent along z.
     tall, deep = np.float32(table.patch_aspect_ratio), np.float32(table.stretch_y)
     patches = np.exp(-(fx**2 + (fz * tall) ** 2 + (fy / deep) ** 2) / (2 * table.patch_per_mm**2))
     return _normalise_variance(power, table), _normalise_variance(patches, table)
@@ -122,8 +122,9 @@ def _compute_power_spectra(table: StrutLattice) -> tuple[NDArray[np.float32], ND
 def _normalise_variance(power: NDArray[np.float32], table: StrutLattice) -> NDArray[np.float32]:
     """Normalise a power spectrum (nx / 2 + 1, nz / 2 + 1, waves along y) in place to a field of variance 1."""
     power[0, 0, 0] = 0
-    # Along x and z, each frequency counts once or twice, for both signs. Along y, the array has the half spectrum of a
-    # real transform. Half of its plane fy = 0 is read as the mirror image of the other half, so its power is doubled.
+    # Along x and z, each frequency counts for both signs; 0 and the highest frequency count once. Along y, the array
+    # has the half spectrum of a real transform. The transform treats half of the plane fy = 0 as mirror image of the
+    # other half. The power of this plane is therefore doubled.
     of = [np.where((np.arange(n // 2 + 1) == 0) | (np.arange(n // 2 + 1) == n // 2), 1, 2) for n in table.voxels[:2]]
     held = np.einsum("i,j,ijk->k", *of, power, dtype=np.float64) * np.where(np.arange(power.shape[2]), 4, 2)
     power /= np.float32(held.sum())

@@ -1,8 +1,8 @@
-"""Trabecular density of each bone, from a texture seed, the same under every protocol and pose.
+"""Trabecular density of each bone, computed from a texture seed and independent of protocol and pose.
 
-BV/TV is m (1 + g (lattice - 1)), plus the physeal scar. Here m(x, y, z) is a smooth mean and g its contrast. The
-lattice of struts is not negative and has mean 1. With 0 <= g <= 1, BV/TV is never negative. Relative density is that
-of the mixture of bone and marrow.
+BV/TV is m (1 + g (lattice - 1)), plus the physeal scar. Here m(x, y, z) is the smooth mean, and g is the contrast of
+the struts. The lattice of struts is non-negative and has mean 1. With 0 <= g <= 1, BV/TV is never negative. Relative
+density is the density of the bone-marrow mixture divided by the tabulated density of trabecular bone.
 """
 
 from dataclasses import dataclass
@@ -31,11 +31,11 @@ from .segment_rows import StrutVoxels
 from .strut_lattice import make_strut_lattice, sample_personal_factor
 
 BONES = ("femur", "tibia", "fibula", "patella", "fabella")
-# Bones whose density profile is that of another bone.
+# Bones that use the density profile of another bone.
 _DENSITY_SOURCE_BONE = {"fabella": "patella"}
 # Samples per voxel of the lattice.
 FINE = 1
-# Samples per piece; the smooth part of the density is linear within a piece.
+# Samples per interval of a segment; the smooth part of the density is linear within an interval.
 PIECE = 10
 
 
@@ -76,7 +76,7 @@ class Trabeculae:
         Returns
         -------
         (n,) float64 array
-            Integrals in mm. Integrals over the parts of a segment add up to that of the whole segment.
+            Integrals in mm. Integrals over the parts of a segment add up to the integral over the whole segment.
         """
         return self.integrate_with_steps(starts_mm, ends_mm, FINE, PIECE)
 
@@ -92,7 +92,7 @@ class Trabeculae:
         fine : int
             Samples per voxel of the lattice.
         piece : int
-            Samples per piece; the smooth part of the density is linear within a piece.
+            Samples per interval of a segment; the smooth part of the density is linear within an interval.
 
         Returns
         -------
@@ -134,21 +134,21 @@ def build_trabeculae(
     table : TrabecularBone
         Distribution of trabecular bone and parameters of the strut lattice.
     seed : int
-        Texture seed of the knee. Its bones use different parts of one lattice.
+        Texture seed of the knee. The bones of a knee use different parts of one lattice.
     scale : float
-        Size of the bone relative to the template, from 0.5 to 2. Struts keep their own size.
+        Size of the bone relative to the template, from 0.5 to 2. Struts do not scale with it.
     frame : (3, 4) float64 array, mm
-        Rigid transform from the frame of the bone to that of a right knee.
+        Rigid transform from the frame of the bone to the frame of a right knee.
     mirror : (float, float, float)
-        Factors of 1 or -1 by which that knee is mirrored in x, y and z; a left knee is mirrored in x.
+        Factors of 1 or -1 by which the right knee is mirrored in x, y and z; a left knee is mirrored in x.
     sclerosis : float
-        Thickness of the subchondral bone plate relative to a healthy one, from 0.5 to 2.5 (`Knee.subchondral_plate`).
+        Thickness of the subchondral bone plate relative to a healthy plate, from 0.5 to 2.5 (`Knee.subchondral_plate`).
     age_years : float
         Age, from 18 to 100 years.
     sex : str
         "male" or "female".
     density : float
-        Density relative to the mean of this age and sex, from 0.4 to 1.8 (`Knee.bone_density`).
+        Density relative to the mean for the age and sex, from 0.4 to 1.8 (`Knee.bone_density`).
     sclerotic_side : str
         "medial" or "lateral": side with more sclerosis (`Knee.sclerotic_side`).
 
@@ -228,7 +228,7 @@ def make_struts(table: TrabecularBone, *, seed: int, sclerosis: float, age_years
     seed : int
         Texture seed of the knee.
     sclerosis : float
-        Thickness of the subchondral bone plate relative to a healthy one.
+        Thickness of the subchondral bone plate relative to a healthy plate.
     age_years : float
         Age in years.
     sex : str
@@ -245,17 +245,17 @@ def _resolve_density_parameters(
     sclerosis_and_side: tuple[float, str],
     age_factors: tuple[float, float],
 ) -> DensityParameters:
-    """Resolve the smooth part of the density of a bone.
+    """Compute the parameters of the smooth part of the density of a bone.
 
-    `uniform_samples` holds seven numbers from 0 to 1. The first five set the scar: height, lateral strength, position
-    along x and along y, and phase of the ripple. The sixth sets the phase of the waves of the struts, the last the
-    medial strength of the scar. `sclerosis_and_side` is the relative thickness of the plate and the more sclerotic
-    side. `age_factors` are factors on BV/TV and on strut contrast.
+    `uniform_samples` are seven numbers from 0 to 1. The first five set the scar: height, lateral strength, position
+    along x and along y, and phase of the ripple. The sixth sets the phase of the lateral waves of the struts. The
+    seventh sets the medial strength of the scar. `sclerosis_and_side` is the relative thickness of the plate and the
+    more sclerotic side. `age_factors` multiply BV/TV and strut contrast.
     """
     sclerosis, side = sclerosis_and_side
     part, hard, tissue = getattr(table, _DENSITY_SOURCE_BONE.get(bone, bone)), table.sclerosis, table.tissue
     excess = part.sclerosis * hard.per_plate * (sclerosis - 1)
-    # A plate thinner than a healthy one removes at most its own rise.
+    # A plate thinner than a healthy plate removes at most the increase of BV/TV at a healthy plate.
     shares = (1.0, hard.other_side_deep) if side == "medial" else (hard.other_side_deep, 1.0)
     added = [max(-part.plate, (1 + part.plate) * excess * share) for share in shares]
     left, contrast = age_factors
@@ -287,9 +287,9 @@ def _resolve_density_parameters(
 def _resolve_scar_parameters(
     part: TrabecularDensityProfile, scar: PhysealScar, uniform_samples: list[float]
 ) -> dict[str, float]:
-    """Resolve the fields of `DensityParameters` for the position and strength of the physeal scar.
+    """Compute the fields of `DensityParameters` for the position and strength of the physeal scar.
 
-    `uniform_samples` is as in `_resolve_density_parameters`.
+    `uniform_samples` are the numbers that `_resolve_density_parameters` describes.
     """
     lateral, medial = (scar.least + (1 - scar.least) * uniform_samples[n] for n in (1, 6))
     return {
@@ -321,7 +321,7 @@ def _compute_age_factors(ageing: Ageing, age_years: float, sex: str, density: fl
 def _personalise_lattice(
     table: TrabecularBone, seed: int, sclerosis: float, age_years: float, sex: str
 ) -> StrutLattice:
-    """Adjust the coarseness of the struts to one knee, without a change of their positions."""
+    """Adjust the coarseness of the struts to one knee, without changing strut positions."""
     grain, years = table.grain, age_years - table.ageing.reference_years
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(1 + len(BONES),)))
     coarse = (
@@ -333,7 +333,7 @@ def _personalise_lattice(
 
 
 def _invert_transform(frame: Array, mirror: Triple) -> tuple[float, ...]:
-    """Invert a rigid transform (3, 4) with a mirror: from the knee frame to the bone frame, row by row."""
+    """Invert a rigid transform (3, 4) and a mirroring; return the transform from knee to bone frame, row by row."""
     turn = frame[:, :3]
     if frame.shape != (3, 4) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
         raise InputError(f"frame must be a rotation and a translation, (3, 4), got {frame.tolist()}")

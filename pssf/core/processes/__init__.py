@@ -1,9 +1,8 @@
-"""Parallel work: processes of this machine, workers of a Dask cluster, and one process in the background.
+"""Parallel work in local processes and on the workers of a Dask cluster.
 
-execution           who does the work of a run, and how progress is shown
-parallel_map        map a function over items on several processes, with results that do not depend on their number
-cluster             the same on the workers of a Dask scheduler  (extra "cluster")
+execution           number of processes or scheduler, progress display and timer of a run
+parallel_map        map a function over items in several processes; their number does not affect the results
+cluster             map a function over items on the workers of a Dask scheduler  (extra "cluster")
 worker_processes    thread and memory settings of a worker process
 child_processes     start Python processes that ignore files of the working folder
-background_process  run a function in one more process meanwhile
 """

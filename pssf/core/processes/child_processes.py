@@ -1,6 +1,7 @@
 """Start Python processes that ignore the files of the working folder.
 
-A new Python process looks for modules in the working folder first: every worker would run a file ``signal.py`` there.
+A new Python process searches the working folder first for modules. A file ``signal.py`` in the working folder would
+replace the module of the standard library in every worker.
 """
 
 import os
@@ -9,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-# The child process gets the import path of this process before it imports anything.
+# Code of the child process: it sets the import path to the path of the parent process before any other import.
 _CODE = "import sys; sys.path[:] = sys.argv.pop(1).splitlines(); {code}"
 _SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
 
@@ -18,12 +19,13 @@ _SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
 def start_without_working_folder() -> Iterator[None]:
     """Start multiprocessing workers in this context without the working folder in their initial import path.
 
-    The workers run the main script of this process only if it is a file. A script from standard input is not.
+    The workers run the main script of the parent process only if it is a file. A script from standard input is not a
+    file.
 
     Yields
     ------
     None
-        The earlier environment is restored at the end of the block.
+        The previous environment is restored at the end of the block.
     """
     main, before = sys.modules["__main__"], os.environ.get(_SAFE_PATH_VARIABLE)
     file = getattr(main, "__file__", None)
@@ -50,12 +52,12 @@ def build_python_command(code: str, *arguments: str) -> list[str]:
     code : str
         Python statements; ``sys`` is already imported.
     *arguments : str
-        Values of ``sys.argv`` from index 1 on.
+        Values of ``sys.argv[1:]``.
 
     Returns
     -------
     list of str
-        The command.
+        Command as a list of program and arguments.
     """
     path = "\n".join(str(Path(entry or ".").absolute()) for entry in sys.path)
     return [sys.executable, "-P", "-c", _CODE.format(code=code), path, *arguments]

@@ -1,6 +1,7 @@
-"""Parallel work on the workers of a Dask scheduler, which may be on other machines (extra ``cluster``).
+"""Run functions on the workers of a Dask scheduler, on any number of machines (``cluster`` extra).
 
-If a worker is killed, Dask gives its item to another worker. Dask gives up an item on which several workers died.
+If a worker is killed, Dask gives its item to another worker. If several workers are killed on the same item,
+the run stops with an error.
 """
 
 import pickle
@@ -21,20 +22,20 @@ from distributed.scheduler import KilledWorker
 from ..checks import InputError
 from .worker_processes import WorkersLostError, limit_to_one_thread
 
-# Time to wait for an answer of the scheduler, in s.
+# Time limit for an answer of the scheduler, in s.
 _CONNECT_TIMEOUT_S = 10
-# Time to wait for a worker, in s. A worker that was killed returns only after it has loaded all libraries again.
+# Time limit for a worker to connect, in s. A worker that was killed first loads all libraries again.
 _WORKER_WAIT_S = 30
 # Pause between two queries of the workers, in s.
 _RETRY_DELAY_S = 0.5
 # Number of times that the workers are queried.
 _QUERY_ATTEMPTS = 10
-# A worker with several threads must not work on two knees at once: thread limits hold for the whole process.
+# Lock that makes a worker with several threads process one item at a time, because thread limits apply to the process.
 _ONE_ITEM_LOCK = threading.Lock()
 
 
 def require_cluster_workers(address: str, modules: tuple[str, ...] = ()) -> None:
-    """Require a scheduler that answers, with workers that have this version of the package.
+    """Require that a scheduler answers, and that its workers have the same version of the package.
 
     Parameters
     ----------
@@ -47,7 +48,7 @@ def require_cluster_workers(address: str, modules: tuple[str, ...] = ()) -> None
     ------
     InputError
         If the address is malformed, the scheduler does not answer or has no workers, or a worker has another version of
-        pssf or lacks a module.
+        pssf, or lacks a module.
     """
     with _connect(address) as client:
         answers = _query_workers(client, modules)
@@ -55,18 +56,22 @@ def require_cluster_workers(address: str, modules: tuple[str, ...] = ()) -> None
         raise InputError(f"scheduler must have one or more workers, got none at {address!r}")
     for answer in answers:
         if isinstance(answer, ModuleNotFoundError):
-            raise InputError(f"scheduler {address!r} must have pssf on every worker, got: {answer}")
+            raise InputError(
+                f"scheduler {address!r} has a worker without pssf ({answer}): install pssf on every worker"
+            )
         if isinstance(answer, Exception):
             raise answer
     here = version("pssf")
     there = sorted({release for release, _ in answers})
     lacking = sorted(set().union(*(names for _, names in answers)))
     if there != [here]:
-        raise InputError(f"pssf on the workers of {address!r} must be {here}, as here, got {', '.join(there)}")
+        raise InputError(
+            f"pssf on the workers of {address!r} must have the local version {here}, got {', '.join(there)}"
+        )
     if lacking:
         raise InputError(
-            f"scheduler {address!r} must have the extra 'study' on every worker, got a worker without "
-            f"{', '.join(lacking)}"
+            f"scheduler {address!r} has a worker without {', '.join(lacking)}: install the extra 'study' on every "
+            "worker"
         )
 
 
@@ -90,19 +95,19 @@ def run_on_cluster(
     address : str
         Address of the scheduler, such as "tcp://host:8786".
     on_result : callable
-        Function that is called with the index and the result of each item as it is done.
+        Function that is called with the index and the result of each item when the item is done.
 
     Raises
     ------
     InputError
         If the scheduler cannot be reached.
     WorkersLostError
-        If workers are killed repeatedly on the same item, or the connection to the scheduler is lost.
+        If several workers are killed on the same item, or the connection to the scheduler is lost.
     """
     with _connect(address) as client:
         try:
-            # The shared data are the result of a task: data that are scattered would be lost with the worker that
-            # holds them. They are pickled since Dask searches every list that it is given for tasks.
+            # The shared arguments are the result of a task, because Dask can repeat a task if its worker is lost.
+            # Items and arguments are pickled, because Dask would search every list in them for tasks.
             held = client.submit(bytes, pickle.dumps(shared), pure=False)
             pickled = [pickle.dumps(item) for item in items]
             futures = client.map(_run_item, pickled, function=function, shared=held, pure=False)
@@ -111,9 +116,9 @@ def run_on_cluster(
                 on_result(indices[future], future.result())
                 future.release()  # Dask would repeat the item if its worker died while the result is still referenced.
         except KilledWorker:
-            raise WorkersLostError("workers of the cluster were killed repeatedly; they may lack memory") from None
+            raise WorkersLostError("workers of the cluster were killed repeatedly; memory may be short") from None
         except (CancelledError, CommClosedError):
-            raise WorkersLostError(f"scheduler {address} was lost") from None
+            raise WorkersLostError(f"the connection to scheduler {address} was lost") from None
 
 
 @contextmanager
@@ -138,8 +143,7 @@ def _query_workers(client: Client, modules: tuple[str, ...]) -> list[Any]:
         except TimeoutError:
             break
         replies = client.run(_describe_worker, modules, on_error="return").values()
-        # A worker that dies during the query (lost connection, or none within Dask's 30 s) is usually replaced by
-        # whatever started it, so that the query is repeated.
+        # A worker that dies during the query gives an OSError, and is usually started again. So the query is repeated.
         answers = [reply for reply in replies if not isinstance(reply, OSError)]
         if answers:
             return answers
@@ -148,7 +152,7 @@ def _query_workers(client: Client, modules: tuple[str, ...]) -> list[Any]:
 
 
 def _describe_worker(modules: tuple[str, ...]) -> tuple[str, list[str]]:
-    """Return the version of pssf at a worker, and the modules that the worker lacks."""
+    """Return the version of pssf on a worker, and the modules that the worker lacks."""
     return version("pssf"), [name for name in modules if find_spec(name) is None]
 
 

@@ -1,4 +1,4 @@
-"""Settings of a run that no result depends on: processes or cluster, progress display, timer."""
+"""Settings of a run that do not affect the results: processes or cluster, progress display, timer."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -6,20 +6,20 @@ from dataclasses import dataclass, field
 
 from ..stage_timer import Stage, Timer
 
-# Function of name and stage; returns a context that displays the progress of the stage while it is open.
+# Function that takes a name and a stage, and returns a context that displays the progress of the stage.
 ProgressBar = Callable[[str, Stage], AbstractContextManager[None]]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Execution:
-    """Say who does the work of a run, and how its progress is shown.
+    """Specify the processes or cluster of a run, its progress display and its timer.
 
     Parameters
     ----------
     workers : int, default 1
-        Number of processes of this machine.
+        Number of local processes.
     scheduler : str or None, default None
-        Address of a Dask scheduler, whose workers then do the work; None uses processes of this machine.
+        Address of a Dask scheduler whose workers run the work; None uses local processes.
     progress_bar : callable
         Function that displays the progress of a stage, such as `progress_display.show_progress_bar`. By default nothing
         is displayed.
@@ -48,7 +48,7 @@ class Execution:
         Yields
         ------
         Stage
-            The stage, which counts the items.
+            Stage that counts the items.
         """
         with self.timer.stage(name, unit, total) as stage, self.progress_bar(name, stage):
             yield stage

@@ -1,4 +1,4 @@
-"""Map a function over items on several processes; the results do not depend on the number of processes."""
+"""Map a function over items in several processes; the results do not depend on the number of processes."""
 
 import os
 import pickle
@@ -25,12 +25,12 @@ from .worker_processes import WorkersLostError, limit_to_one_thread, retain_free
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# The work is given up after workers were killed this many times in a row without a result in between.
+# Number of times in a row that workers may be killed without a new result before the work stops with an error.
 _MAX_KILLS_IN_A_ROW = 3
 
-# State of a worker process: keyword arguments that all items of a call share.
+# Global variable of a worker process: keyword arguments that are the same for all items.
 _shared: dict[str, Any] = {}
-# State of a worker process: barrier at which it waits until all workers have received the shared arguments.
+# Global variable of a worker process: barrier that waits until all workers have received the shared arguments.
 _shared_barriers: list[Barrier] = []
 
 
@@ -40,7 +40,7 @@ def count_cores() -> int:
     Returns
     -------
     int
-        Number of cores, 256 at most; 1 in a daemonic process, which cannot start others.
+        Number of cores, 256 at most. It is 1 in a daemonic process, which cannot start other processes.
     """
     if current_process().daemon:
         return 1
@@ -57,9 +57,9 @@ def map_in_parallel(
     scheduler: str | None = None,
     on_result: Callable[[int, Result], None] | None = None,
 ) -> list[Result]:
-    """Compute ``[function(item, **shared) for item in items]`` on several processes or on a Dask cluster.
+    """Compute ``[function(item, **shared) for item in items]`` in several processes or on a Dask cluster.
 
-    An item whose worker is killed is repeated by another worker.
+    If a worker is killed, another worker repeats its item.
 
     Parameters
     ----------
@@ -68,15 +68,14 @@ def map_in_parallel(
     items : sequence
         Items to process.
     shared : dict of str to Any
-        Keyword arguments that are the same for all items. They are sent to every worker once. With more than one worker
-        they, the function and the items must be picklable.
+        Keyword arguments that are the same for all items. They are sent to every worker once. With more than one
+        worker, shared arguments, function and items must be picklable.
     workers : int, default 1
-        Number of processes of this machine.
+        Number of local processes.
     scheduler : str or None, default None
-        Address of a Dask scheduler, such as "tcp://host:8786", whose workers then do the work. None uses processes of
-        this machine.
+        Address of a Dask scheduler, such as "tcp://host:8786", whose workers run the work. None uses local processes.
     on_result : callable or None, default None
-        Function that is called with the index and the result of each item as it is done, in any order.
+        Function that is called with the index and the result of each item when the item is done, in any order.
 
     Returns
     -------
@@ -110,32 +109,33 @@ def map_in_parallel(
     else:
         if current_process().daemon:
             raise InputError(
-                f"workers must be 1 in a daemonic process (of multiprocessing.Pool or Dask), got {workers}: such a "
-                "process cannot start others"
+                f"workers must be 1 in a daemonic process (of multiprocessing.Pool or Dask), got {workers}: a daemonic "
+                "process cannot start other processes"
             )
         _run_in_processes(function, items, shared, workers, take)
     return [results[index] for index in range(len(items))]
 
 
 def require_scheduler(address: str, modules: tuple[str, ...] = ()) -> None:
-    """Require a usable Dask scheduler, before any file is written.
+    """Check a Dask scheduler and its workers before any file is written.
 
     Parameters
     ----------
     address : str
         Address of the scheduler, such as "tcp://host:8786".
     modules : tuple of str, default ()
-        Modules that its workers must be able to import, in addition to this package.
+        Modules that the workers must be able to import, in addition to pssf.
 
     Raises
     ------
     InputError
-        If the package distributed is missing, the address is malformed, or the scheduler or its workers cannot be used.
+        If the package distributed is missing, or the address is malformed. If the scheduler does not answer, or a
+        worker lacks pssf, its version or a module.
     """
     if find_spec("distributed") is None:
         raise InputError(
-            f"scheduler must be None without the package distributed, got {address!r}: install it, in the source "
-            "folder, with: pip install '.[cluster]'"
+            f"scheduler {address!r} needs the package distributed, which is not installed: run "
+            "pip install '.[cluster]' in the source folder"
         )
     from .cluster import require_cluster_workers
 
@@ -149,7 +149,7 @@ def _run_in_processes(
     workers: int,
     on_result: Callable[[int, Result], None],
 ) -> None:
-    """Process all items in pools of processes; start a new pool after a worker was killed."""
+    """Process all items in a pool of processes; start a new pool after a worker was killed."""
     left = list(range(len(items)))
 
     def arrived(index: int, result: Result) -> None:
@@ -159,8 +159,8 @@ def _run_in_processes(
     killed = 0
     while left:
         before = len(left)
-        # If a worker is killed, the whole pool ends, and all items in progress are lost. After a pool without any
-        # result a single item is tried, then a pool works on all remaining items again.
+        # If a worker is killed, the whole pool ends, and all items in progress are lost. If the pool gave no result,
+        # the next pool gets a single item. After a success, the next pool gets all remaining items.
         batch = left[:1] if killed else left
         try:
             _run_pool(function, {index: items[index] for index in batch}, shared, workers, arrived)
@@ -186,7 +186,7 @@ def _run_pool(
 ) -> None:
     """Process items in the pool until all are done or a worker is killed.
 
-    After all finished results are delivered, BrokenProcessPool is raised if a worker was killed.
+    If a worker was killed, BrokenProcessPool is raised after all finished results are delivered.
     """
     broken: BrokenProcessPool | None = None
     others = set(active_children()) - _pool_state.children
@@ -214,7 +214,7 @@ def _run_pool(
 
 @dataclass
 class _PoolState:
-    """Pool that is kept between calls, since a process takes seconds to start and to import libraries."""
+    """Pool that is kept between calls, because a process takes seconds to start and to import libraries."""
 
     pool_key: tuple[Any, ...] = ()
     pool: ProcessPoolExecutor | None = None
@@ -229,9 +229,9 @@ def _open_pool(workers: int) -> ProcessPoolExecutor:
     now = (workers, os.getcwd(), tuple(sys.path), tuple(sorted(os.environ.items())))
     if _pool_state.pool is None or _pool_state.pool_key != now:
         _shut_down_pool()
-        # Workers are spawned, since a forked copy of a process that has threads (ITK, OpenMP) may hang.
+        # Workers are spawned, because a forked copy of a process with threads (ITK, OpenMP) may hang.
         context = get_context("spawn")
-        with start_without_working_folder():  # The first lock starts another process, which tracks locks.
+        with start_without_working_folder():  # The first barrier starts a further process, the resource tracker.
             _pool_state.pool = ProcessPoolExecutor(workers, context, _initialise_worker, (context.Barrier(workers),))
         _pool_state.pool_key = now
     return _pool_state.pool
@@ -255,9 +255,9 @@ def _share_with_workers(shared: dict[str, Any], pool: ProcessPoolExecutor, worke
 
 @contextmanager
 def _block_interrupts() -> Iterator[None]:
-    """Block the interrupt signal for processes that start in this context: their parent ends them itself.
+    """Block the interrupt signal for processes that start in this context.
 
-    A terminal sends the signal to all processes.
+    On Ctrl-C a terminal sends the signal to all processes. The parent process ends the workers itself.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield
@@ -286,7 +286,7 @@ def _receive_shared(packed: bytes) -> None:
 
 
 def _exit_with_parent() -> None:
-    """End a worker whose parent was killed; it would wait for work forever and keep its memory."""
+    """End the worker if its parent was killed; otherwise the worker would wait forever and keep its memory."""
     parent = parent_process()
     assert parent is not None
     parent.join()

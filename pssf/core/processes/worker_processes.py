@@ -12,24 +12,24 @@ from multiprocessing import parent_process
 from manifold3d import Manifold
 from threadpoolctl import threadpool_limits
 
-# M_TRIM_THRESHOLD of malloc.h: free memory up to this limit stays with the process.
+# Option M_TRIM_THRESHOLD of malloc.h: the process keeps freed memory up to a limit.
 _TRIM_THRESHOLD = -1
-# M_MMAP_THRESHOLD of malloc.h: arrays up to this limit are allocated in memory that the process already has.
+# Option M_MMAP_THRESHOLD of malloc.h: arrays up to a limit are allocated in memory that the process already has.
 _MMAP_THRESHOLD = -3
-# Value of both limits, in bytes.
+# Value of M_TRIM_THRESHOLD and M_MMAP_THRESHOLD, in bytes.
 _LARGE = 2**30
-# Segments of a sphere that has enough triangles for manifold3d to use several threads.
+# Number of segments of a sphere with so many triangles that manifold3d would use several threads.
 _SPHERE_SEGMENTS = 400
 
 
 class WorkersLostError(RuntimeError):
-    """Report that workers were killed repeatedly or a cluster was lost; results delivered until then are kept."""
+    """Report that workers were killed repeatedly or a cluster was lost; results delivered before are kept."""
 
 
 def retain_freed_memory() -> None:
-    """Keep freed memory in this process for later arrays, if the C library is GNU's.
+    """Keep freed memory in this process for later arrays, if the C library is the GNU C library.
 
-    Without this setting a series of radiographs spends a tenth of its time on returning and requesting memory pages.
+    Otherwise the simulation of many radiographs spends a tenth of its time on returning and requesting memory pages.
     """
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):
@@ -42,13 +42,13 @@ def retain_freed_memory() -> None:
 def limit_to_one_blas_thread() -> Iterator[None]:
     """Limit BLAS to one thread while the context is open.
 
-    The last bit of a matrix product depends on the number of threads, and the threads of several processes disturb each
-    other.
+    The last bit of a matrix product depends on the number of threads. BLAS threads of several processes also slow each
+    other down.
 
     Yields
     ------
     None
-        The earlier limit is restored at the end of the block.
+        The previous limit is restored at the end of the block.
     """
     with threadpool_limits(1, user_api="blas"):
         yield
@@ -56,10 +56,10 @@ def limit_to_one_blas_thread() -> Iterator[None]:
 
 @cache
 def limit_manifold_to_one_thread() -> None:
-    """Limit manifold3d to one thread for the lifetime of this process; call before its first solid.
+    """Limit manifold3d to one thread for the lifetime of this process; call it before manifold3d builds a solid.
 
-    manifold3d has no such option: it counts the cores when it first works on many triangles. If every core has a
-    process, the threads of manifold3d would cost about 3 % of the time.
+    manifold3d has no option for the number of threads. It counts the cores when it first processes many triangles. If
+    every core has a process, further threads of manifold3d cost about 3 % of the time.
     """
     with limit_to_one_core():
         ball = Manifold.sphere(1.0, _SPHERE_SEGMENTS)
@@ -68,21 +68,21 @@ def limit_manifold_to_one_thread() -> None:
 
 @contextmanager
 def limit_to_one_thread() -> Iterator[None]:
-    """Limit BLAS, OpenMP, SimpleITK and manifold3d to one thread, since every core has a process of its own.
+    """Limit BLAS, OpenMP, SimpleITK and manifold3d to one thread, because every core runs a separate process.
 
     Yields
     ------
     None
-        Limits of BLAS and OpenMP are restored at the end of the block; the others remain.
+        The limits of BLAS and OpenMP are restored at the end of the block; the limits of the other libraries remain.
     """
     if parent_process() is not None:
         limit_manifold_to_one_thread()
     if find_spec("SimpleITK"):
-        # Each process would otherwise start as many threads as there are cores, and they would wait for each other.
+        # Otherwise each process would start as many threads as there are cores, and the threads would compete.
         import SimpleITK as sitk  # noqa: N813
 
         sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(1)
-    # With one thread the order of a sum, and thus its last bit, is the same on every machine.
+    # With one thread, the order of the terms of a sum, and so its last bit, is the same on every machine.
     with threadpool_limits(1):
         yield
 
@@ -91,12 +91,12 @@ def limit_to_one_thread() -> Iterator[None]:
 def limit_to_one_core() -> Iterator[None]:
     """Restrict this process to one core while the context is open, so that libraries count one core.
 
-    There is no effect where the system offers no such restriction.
+    The function has no effect on systems that cannot restrict a process to some cores.
 
     Yields
     ------
     None
-        The earlier set of cores is restored at the end of the block.
+        The previous set of cores is restored at the end of the block.
     """
     if not hasattr(os, "sched_getaffinity"):
         yield

@@ -1,1 +1,1 @@
-"""Tables of the analyses: reference values, localisation, landmarks, IBSI, reporting guidelines, benchmark, READMEs."""
+"""Tables of the analyses: reference values, localisation, landmarks, IBSI, reporting guidelines, benchmark."""

@@ -7,7 +7,7 @@ from ..table_records import Record, parse_record
 
 
 class BenchmarkDefinition(Record, frozen=True):
-    """Definition and citation of a data set that one command makes and that never changes.
+    """Definition and citation of the benchmark data set, which does not change after its release.
 
     Attributes
     ----------
@@ -16,7 +16,7 @@ class BenchmarkDefinition(Record, frozen=True):
     seed : int
         Seed of the cohort.
     splits : int
-        Number of fixed splits by person.
+        Number of fixed splits by subject.
     version : str
         Version of the data set.
     title : str
@@ -28,11 +28,11 @@ class BenchmarkDefinition(Record, frozen=True):
     date : str
         Date of release, YYYY-MM-DD.
     license : str
-        Address of the licence.
+        Web address of the licence.
     creator : str
         Creator.
     url : str
-        Address of a page about the data set.
+        Web address of a page about the data set.
     """
 
     preset: str
@@ -67,7 +67,7 @@ def load_benchmark_hashes() -> dict[str, str]:
     Returns
     -------
     dict of str to str
-        Person -> SHA-256 hash of the pixels of all radiographs of the person, as in `benchmark.image_hashes`. Only some
-        persons are listed.
+        SHA-256 hash of the pixels of all radiographs of a subject, keyed by the subject's number (see
+        `benchmark.image_hashes`). Only some subjects are listed.
     """
     return parse_record(dict[str, dict[str, str]], load_data_table("benchmark_hashes"), "benchmark_hashes")["sha256"]

@@ -1,4 +1,4 @@
-"""Tags of features in the reference values of the Image Biomarker Standardisation Initiative (``data/ibsi.toml``)."""
+"""IBSI tags of radiomics features (Image Biomarker Standardisation Initiative, ``data/ibsi.toml``)."""
 
 from functools import cache
 
@@ -13,7 +13,7 @@ def load_ibsi_tags() -> dict[str, dict[str, str]]:
     Returns
     -------
     dict of str to dict of str to str
-        Feature family -> feature name -> IBSI tag. The entry "departures" maps a family, or "<family>_<feature>", to
-        its difference from the IBSI definition.
+        IBSI tag of each feature, keyed by family and then by feature name. The additional key "departures" has the
+        differences from IBSI definitions, keyed by family or by "<family>_<feature>".
     """
     return parse_record(dict[str, dict[str, str]], load_data_table("ibsi"), "ibsi")

@@ -13,7 +13,7 @@ from ..table_records import (
 
 
 class GradeLandmarkStatistics(Record, frozen=True):
-    """Landmark statistics of one KL grade; pairs are mean and SD.
+    """Landmark statistics of one KL grade. Pairs are mean and SD.
 
     Lengths are in mm on the radiograph. Coordinates are fractions of the width of the tibial plateau.
 
@@ -26,17 +26,17 @@ class GradeLandmarkStatistics(Record, frozen=True):
     medial_gap_least_mm : (float, float)
         Smallest gap between femoral and tibial contour in the medial compartment, in mm.
     lateral_gap_least_mm : (float, float)
-        Smallest gap in the lateral compartment, in mm.
+        Smallest gap between femoral and tibial contour in the lateral compartment, in mm.
     medial_gap_at_0150_mm : (float, float)
         Medial gap at 0.150 of the femoral width from its medial edge, in mm.
     medial_gap_at_0200_mm : (float, float)
-        Medial gap at 0.200 of the femoral width, in mm.
+        Medial gap at 0.200 of the femoral width from its medial edge, in mm.
     medial_gap_at_0250_mm : (float, float)
-        Medial gap at 0.250 of the femoral width, in mm.
+        Medial gap at 0.250 of the femoral width from its medial edge, in mm.
     medial_gap_at_0300_mm : (float, float)
-        Medial gap at 0.300 of the femoral width, in mm.
+        Medial gap at 0.300 of the femoral width from its medial edge, in mm.
     joint_line_convergence_deg : (float, float)
-        Angle between the femoral and the tibial joint line, in degrees; positive opens medially.
+        Angle between the femoral and the tibial joint line, in degrees; positive if the joint is wider medially.
     mean_share : tuple of (float, float)
         Mean x and y of each landmark.
     sd_share : tuple of (float, float)
@@ -62,11 +62,11 @@ class LandmarkModes(Record, frozen=True):
     Attributes
     ----------
     share_of_variance : tuple of float
-        Fraction of the variance, per component.
+        Fraction of the total variance that each component explains.
     sd : tuple of float
-        SD of the score, per component, as a fraction of the width of the plateau.
+        SD of the score of each component, as a fraction of the plateau width.
     vectors : tuple of tuple of float
-        Unit vector of each component: x and y of each landmark in turn.
+        Unit vector of each component, in the order x and y of the first landmark, x and y of the second, and so on.
     """
 
     share_of_variance: Numbers
@@ -82,13 +82,14 @@ class LandmarkReference(Record, frozen=True):
     source : str
         Source of the annotations.
     names : tuple of str
-        Names of the landmarks, in order.
+        Names of the landmarks, in the order of all other lists.
     grade : dict of str to GradeLandmarkStatistics
-        KL grade, as text -> statistics.
+        Statistics, keyed by KL grade as text.
     modes : LandmarkModes
-        Principal components over grades 0 and 1.
+        Principal components of knees with KL grade 0 or 1.
     gap_alone_auc : dict of str to (float, float, float)
-        "kl1" to "kl4" -> AUC of the smaller of the two smallest gaps against grade 0, with its 95 % interval.
+        AUC for distinguishing grades 1 to 4 (keys "kl1" to "kl4") from grade 0 by the smaller of the medial and the
+        lateral smallest gap. The values are the AUC and its 95 % confidence interval.
     """
 
     source: str

@@ -1,6 +1,6 @@
-"""Localisation of the joint and its side (``data/localisation.toml`` and ``data/side_pattern.toml``).
+"""Localisation of the knee joint and its laterality (``data/localisation.toml`` and ``data/side_pattern.toml``).
 
-Lengths in mm are those of a standard knee's radiograph under the protocol ``reference``.
+Lengths in mm refer to the radiograph of a standard knee with the protocol ``reference``.
 """
 
 from functools import cache
@@ -16,26 +16,26 @@ from ..table_records import (
 
 
 class PatchSettings(Record, frozen=True):
-    """Size and sampling of the patch that is cut out of a template around its medial joint line.
+    """Size and sampling of the image patch that is cropped from a template around the medial joint line.
 
     Attributes
     ----------
     pitch_mm : float
         Pixel size of the patch, in mm.
     up_mm : float
-        Extent above the joint line, in mm.
+        Extent of the patch above the joint line, in mm.
     down_mm : float
-        Extent below the joint line, in mm.
+        Extent of the patch below the joint line, in mm.
     lateral_mm : float
-        Extent to lateral, in mm.
+        Extent of the patch in lateral direction, in mm.
     medial_mm : float
-        Extent to medial, in mm.
+        Extent of the patch in medial direction, in mm.
     height_mm : float
-        SD of the Gaussian weight around the joint line, in mm.
+        SD of the Gaussian that weights pixels by their distance from the joint line, in mm.
     turns_deg : tuple of float
-        Rotations of the template that are tried, in degrees.
+        Rotations of the template in the search, in degrees.
     tile_mm : float
-        Size of the neighbourhood that normalises the strength of edges, in mm.
+        Size of the neighbourhood within which edge strength is normalised, in mm.
     """
 
     pitch_mm: float
@@ -49,32 +49,32 @@ class PatchSettings(Record, frozen=True):
 
 
 class SearchSettings(Record, frozen=True):
-    """Sizes, positions and pixel shapes that the search tries.
+    """Sizes, positions and pixel aspect ratios in the template search.
 
     Attributes
     ----------
     scale_step : float
-        Ratio of consecutive sizes.
+        Ratio of consecutive sizes in the search.
     scale_range : (float, float)
-        Size of the knee relative to the standard knee, if the pixel size is known.
+        Range of the knee size relative to the standard knee, if the pixel size is known.
     fallback_min_scale : float
-        Smallest relative size that is tried if no knee was found.
+        Smallest relative size in a second search, after the first search found no knee.
     plateau_share : (float, float)
-        Width of the plateau relative to the width of the image, if the pixel size is unknown.
+        Range of the plateau width relative to the image width, if the pixel size is unknown.
     first_min_plateau_fraction : float
-        Smallest such width in the first attempt.
+        Smallest plateau width relative to the image width in the first search, if the pixel size is unknown.
     narrow_scales : tuple of float
-        Sizes of the medial compartment relative to the match of the whole joint.
+        Sizes of the compartment template relative to the size of the joint match.
     reach_mm : float
         Largest distance of the compartment match from the joint match, in mm.
     min_visible_fraction : float
-        Smallest fraction of the joint patch that is inside the image.
+        Smallest fraction of the joint patch that must be inside the image.
     candidates : int
-        Largest number of joint matches per side around which the medial compartment is searched.
+        Maximum number of joint matches, for right and left knees each, around which the medial compartment is searched.
     max_score_deficit : float
-        Largest difference of a candidate's score from the best score.
+        Largest difference between the best joint score and the score of a candidate.
     pixel_aspect_ratios : tuple of float
-        Ratios of pixel height to width that are tried in addition to 1, if the pixel size is unknown.
+        Ratios of pixel height to width in the search, in addition to 1, if the pixel size is unknown.
     """
 
     scale_step: float
@@ -91,7 +91,7 @@ class SearchSettings(Record, frozen=True):
 
 
 class ChanceScore(Record, frozen=True):
-    """Model of the best score that chance gives, if the pixel size is unknown.
+    """Model of the best template score expected by chance, if the pixel size is unknown.
 
     Attributes
     ----------
@@ -100,10 +100,10 @@ class ChanceScore(Record, frozen=True):
     cell_mm : float
         Distance between positions with independent scores, in mm.
     visible_fraction : float
-        Fraction of the patch that is inside the image.
+        Assumed fraction of the patch that is inside the image.
     narrow_rise : float
-        Increase of the compartment score per unit of the natural logarithm of the pixel size, since smooth images are
-        more alike.
+        Increase of the compartment score by chance per unit of the natural logarithm of the pixel size, because
+        smoother images are more similar.
     """
 
     sd: float
@@ -128,34 +128,35 @@ class PlateauWidth(Record, frozen=True):
 
 
 class AcceptanceThresholds(Record, frozen=True):
-    """Thresholds at which a match is rejected; `pssf validate --tables localisation` derives each.
+    """Thresholds for the acceptance of a match, derived by `pssf validate --tables localisation`.
 
-    Scores are the mean of the joint score and the compartment score.
+    All scores are means of the joint score and the compartment score.
 
     Attributes
     ----------
     min_score : float
-        Lowest score of a knee.
+        Lowest accepted score if the pixel size is known.
     max_opposite_side_evidence : float
-        Largest evidence for the side opposite to the given one (`JointLocation.side_evidence`).
+        Largest accepted evidence for the side opposite to the given side (`JointLocation.side_evidence`).
     min_score_unknown_pitch : float
-        Lowest score if the pixel size is unknown, unless the evidence for a side reaches the next value.
+        Lowest accepted score if the pixel size is unknown and the evidence for a side is below
+        `min_side_evidence_unknown_pitch`.
     min_side_evidence_unknown_pitch : float
-        Evidence for a side that replaces this score.
+        Evidence for a side from which a score below `min_score_unknown_pitch` is accepted.
     min_score_square_pixels : float
-        Score from which other pixel shapes are not tried.
+        Score from which other pixel aspect ratios are not searched.
     min_score_further_attempts : float
-        Lowest score of a match with other pixel shapes or with severe knees.
+        Lowest accepted score of a match with another pixel aspect ratio or with a template of severe osteoarthritis.
     stretch_penalty : float
-        Deduction from the score of a match with other pixel shapes.
+        Deduction from the score of a match with another pixel aspect ratio.
     min_score_stop_search : float
-        Score from which the search ends, whether the match is accepted or not.
+        Score from which the search stops, even if the match is rejected for other reasons.
     max_upside_down_evidence : float
-        Largest evidence for an upside-down image that chance gives (`JointLocation.orientation_evidence`).
+        Largest evidence for an upside-down image expected by chance (`JointLocation.orientation_evidence`).
     max_match_distance_mm : float
         Largest vertical distance between the joint match and the compartment match, in mm.
     accepted_scale_range : (float, float)
-        Size of a knee relative to the standard knee.
+        Accepted range of the knee size relative to the standard knee.
     """
 
     min_score: float
@@ -172,12 +173,12 @@ class AcceptanceThresholds(Record, frozen=True):
 
 
 class LateralityWeights(Record, frozen=True):
-    """Weights of edges that distinguish a right knee from a left one.
+    """Edge weights that distinguish a right knee from a left knee.
 
     Attributes
     ----------
     block : int
-        Side of the block of pixels of the joint patch that shares one weight, in px.
+        Side length of the blocks of the joint patch with a common weight, in pixels.
     down : tuple of tuple of float
         (rows, cols) weights of downward edges.
     right : tuple of tuple of float
@@ -199,15 +200,15 @@ class LocalisationSettings(Record, frozen=True):
     narrow : PatchSettings
         Patch of the medial compartment.
     search : SearchSettings
-        Sizes and positions that are tried.
+        Sizes and positions in the search.
     chance : ChanceScore
-        Scores that chance gives.
+        Scores expected by chance.
     plateau : PlateauWidth
         Width of the plateau on patient radiographs.
     thresholds : AcceptanceThresholds
-        Thresholds of acceptance.
+        Thresholds for the acceptance of a match.
     sides : LateralityWeights
-        Weights that distinguish right from left.
+        Weights that distinguish right from left knees.
     """
 
     wide: PatchSettings
@@ -226,7 +227,7 @@ def load_localisation_settings() -> LocalisationSettings:
     Returns
     -------
     LocalisationSettings
-        Content of both tables.
+        Settings from the two tables.
     """
     return parse_record(
         LocalisationSettings,

@@ -1,4 +1,4 @@
-"""Reference values: published, or computed with other software (``data/reference.toml``)."""
+"""Reference values, published or computed with other software (``data/reference.toml``)."""
 
 from functools import cache
 
@@ -12,7 +12,7 @@ from ..table_records import (
 
 
 class ReferenceValue(Record, frozen=True):
-    """A reference value or range, with its source.
+    """Reference value or range of a quantity, with its source.
 
     Attributes
     ----------
@@ -37,7 +37,7 @@ class ReferenceSize(Record, frozen=True):
     source : str
         Source.
     patient_width_ratio : float or None
-        Ratio to the width of the tibial plateau, measured in the same way on bones of patients.
+        Ratio of the size to the width of the tibial plateau, measured with the same method on bones of patients.
     male : (float, float) or None
         Mean and SD of men.
     female : (float, float) or None
@@ -54,14 +54,15 @@ class ReferenceSize(Record, frozen=True):
 
 
 class ScatterCases(Record, frozen=True):
-    """Cases of the scatter reference.
+    """Reference values of scatter behind a limb and behind slabs of water.
 
     Attributes
     ----------
     limb : tuple of (float, float, float, float, float)
-        Rows of tube voltage (kV), thickness (mm), air gap (mm), primary and scatter over the open beam.
+        Rows of tube voltage (kV), thickness (mm), air gap (mm), and primary and scatter divided by the open-beam
+        signal.
     slab : tuple of (float, float, float, float)
-        Rows of tube voltage (kV), thickness (mm), air gap (mm), and scatter over primary.
+        Rows of tube voltage (kV), thickness (mm), air gap (mm), and scatter-to-primary ratio.
     """
 
     limb: tuple[tuple[float, float, float, float, float], ...]
@@ -76,7 +77,7 @@ class PositioningCriterion(Record, frozen=True):
     view : str
         Name of the protocol.
     requirement : str
-        What the radiograph must show.
+        Requirement that the radiograph must meet.
     """
 
     view: str
@@ -89,24 +90,24 @@ class ReferenceTables(Record, frozen=True):
     Attributes
     ----------
     spectrum : dict of str to (float, float)
-        Tube voltage in kV -> photons/mm2/mAs at 1 m, and mean energy in keV.
+        Photons/mm2/mAs at 1 m and mean energy in keV, keyed by tube voltage in kV.
     attenuation : dict of str to (float, float)
-        Tissue -> attenuation coefficient at 40 and 60 keV, in 1/cm.
+        Attenuation coefficients at 40 and 60 keV in 1/cm, keyed by tissue.
     scatter : ScatterCases
         Scatter behind a limb and behind slabs of water.
     morphometry : dict of str to ReferenceSize
-        Anatomical size -> mean and SD.
+        Mean and SD of anatomical sizes, keyed by name.
     texture : dict of str to ReferenceValue
-        Measure of trabecular texture -> range on patient radiographs.
+        Ranges of trabecular texture measures on patient radiographs, keyed by measure.
     quality : dict of str to ReferenceValue
-        Quantity of `pssf quality` -> value or range.
+        Reference values or ranges for `pssf quality`, keyed by quantity.
     views : dict of str to ReferenceValue
-        Quantity of `pssf validate --tables views` -> value or range.
+        Reference values or ranges for `pssf validate --tables views`, keyed by quantity.
     criteria : dict of str to PositioningCriterion
-        Quantity of `pssf validate --tables criteria` -> criterion.
+        Criteria for `pssf validate --tables criteria`, keyed by quantity.
     beam : dict of str to tuple of float
-        "<kV>_<mm Al>" -> first and second half-value layer (mm Al), mean energy (keV), photons/mm2/mAs, and air kerma
-        (uGy/mAs) at 1 m.
+        First and second half-value layer (mm Al), mean energy (keV), photons/mm2/mAs and air kerma (uGy/mAs) at 1 m,
+        keyed by "<kV>_<mm Al>".
     """
 
     spectrum: dict[str, Pair]

@@ -1,4 +1,4 @@
-"""Reporting guidelines: checklist items, and the files of a study that answer them (``data/reporting.toml``)."""
+"""Reporting guidelines: checklist items, and conditions on study files that answer them (``data/reporting.toml``)."""
 
 from functools import cache
 
@@ -16,11 +16,12 @@ class ChecklistItem(msgspec.Struct, frozen=True, array_like=True, forbid_unknown
     id : str
         Number of the item.
     item : str
-        What the item asks for.
+        Text of the item: the information that it requires.
     status : {"yes", "no", "human", "none"}
-        "yes" if the evidence answers the item, "human" if an author must answer it, "none" if it does not apply.
+        "yes" if the evidence answers the item, "no" if the study does not fulfil it, "human" if an author must answer
+        it, "none" if it does not apply.
     evidence : str
-        Conditions on files of the study (`io.file_conditions`), or the reason for the status.
+        Conditions on study files (`io.file_conditions`), or the reason for the status.
     weight : float
         Weight in the METRICS score.
     """
@@ -33,7 +34,7 @@ class ChecklistItem(msgspec.Struct, frozen=True, array_like=True, forbid_unknown
 
 
 class Guideline(Record, frozen=True):
-    """A reporting guideline.
+    """Reporting guideline with its checklist.
 
     Attributes
     ----------
@@ -54,6 +55,6 @@ def load_reporting_guidelines() -> dict[str, Guideline]:
     Returns
     -------
     dict of str to Guideline
-        Name -> guideline.
+        Reporting guidelines, keyed by name.
     """
     return parse_record(dict[str, Guideline], load_data_table("reporting"), "reporting")

@@ -1,4 +1,4 @@
-"""All tables that a knee is built from, in one record."""
+"""All anatomy tables for building a knee, in one record."""
 
 from functools import cache
 
@@ -9,7 +9,7 @@ from .trabecular_table import TrabecularBone, load_trabecular_bone
 
 
 class AnatomyTables(Record, frozen=True):
-    """Tables that a knee is built from.
+    """Anatomy tables for building a knee.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ def load_anatomy_tables() -> AnatomyTables:
     Returns
     -------
     AnatomyTables
-        The tables of the package.
+        Anatomy tables of the package.
     """
     return AnatomyTables(
         template=load_template_anatomy(), shape_model=load_shape_model(), trabecular_bone=load_trabecular_bone()

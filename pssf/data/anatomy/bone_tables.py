@@ -1,7 +1,7 @@
 """Template anatomy: shape of an average male right knee (``data/anatomy.toml``), in mm and degrees.
 
-Frame: x medial, y posterior, z proximal. Rows of ``sections`` are height z, half ML width, half AP depth, centre y and
-centre x. Rows of ``cortex`` are height z and cortical thickness.
+Axes: x medial, y posterior, z proximal. ML is mediolateral, and AP anteroposterior. Rows of ``sections`` are height z,
+half ML width, half AP depth, centre y and centre x. Rows of ``cortex`` are height z and cortical thickness.
 """
 
 from functools import cache
@@ -29,7 +29,7 @@ from .soft_tissue_tables import (
 
 
 class Ellipsoid(Record, frozen=True):
-    """Ellipsoid that is blended into a bone or carved out of it.
+    """Ellipsoid that is added to a bone or removed from it.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Ellipsoid(Record, frozen=True):
     half : (float, float, float)
         Half axes, in mm.
     fillet_mm : float
-        Radius of the fillet to the bone, in mm.
+        Radius of the fillet between ellipsoid and bone, in mm.
     """
 
     centre: Triple
@@ -52,9 +52,9 @@ class NotchShape(Record, frozen=True):
     Attributes
     ----------
     fillet_mm : float
-        Radius of the fillet to the femur, in mm.
+        Radius of the fillet between notch and femur, in mm.
     cortex_mm : float
-        Cortical thickness of its walls, in mm.
+        Cortical thickness of the walls of the notch, in mm.
     sections : rows of float
         Rows of y (mm), height of the roof (mm), curvature of the arch (1/mm), and half width (mm).
     flare : float
@@ -77,15 +77,15 @@ class Condyle(Record, frozen=True):
     low_z : float
         Height of the lowest point, in mm.
     back, front : float
-        Half extents to the back and to the front, in mm.
+        Half extents in posterior and in anterior direction, in mm.
     up, down : float
-        Half extents upwards and downwards, in mm.
+        Half extents in proximal and in distal direction, in mm.
     outer, inner : float
-        Half extents to the outer side and to the notch, in mm.
+        Half extents away from the notch and towards the notch, in mm.
     outer_power, inner_power : float
-        Exponents of the coronal outline; 2 is an ellipse, larger is squarer.
+        Exponents of the superelliptic coronal outline; 2 is an ellipse, and larger values are more rectangular.
     rise : float
-        Rise of the surface from its middle outwards, in mm per mm.
+        Slope of the surface from the middle of the condyle away from the notch, in mm per mm.
     """
 
     x: float
@@ -145,7 +145,7 @@ class RoughnessZone(Record, frozen=True):
 
 
 class GrowthZone(Record, frozen=True):
-    """Zone in which bone grows: points inside an ellipsoid are displaced, less so towards its surface.
+    """Zone in which bone grows: points inside an ellipsoid are displaced. The displacement decreases to its surface.
 
     Attributes
     ----------
@@ -163,7 +163,7 @@ class GrowthZone(Record, frozen=True):
 
 
 class NotchGrowthZones(Record, frozen=True):
-    """Zones in which bone narrows the notch.
+    """Zones of bone growth that narrows the notch.
 
     Attributes
     ----------
@@ -183,21 +183,22 @@ class FemurShape(Record, frozen=True):
     Attributes
     ----------
     valgus_deg : float
-        Angle between the anatomical and the mechanical axis, in degrees.
+        Angle between the anatomical axis of the shaft and the mechanical axis, in degrees.
     shaft_pivot_z_mm : float
-        Height at which the shaft bends, in mm.
+        Height of the pivot about which the shaft is rotated, in mm.
     edge_mm : float
-        Longest edge of a triangle, in mm.
+        Longest mesh edge, in mm.
     tolerance_mm : float
-        Distance of an edge's middle from the surface above which the edge is split, in mm.
+        Distance of the midpoint of a mesh edge from the surface above which the edge is split, in mm.
     fillet_mm : float
         Radius of the fillets between shaft, trochlea and condyles, in mm.
     trochlea_end_z : float
-        Height of the lower edge of the trochlea in its middle, in mm.
+        Height of the lower edge of the trochlea at its middle, in mm.
     trochlea_end_bend : float
-        Curvature of this edge: fall per square of the distance from the middle, in 1/mm.
+        Curvature of the lower edge of the trochlea: decrease of its height per square of the distance from its middle,
+        in 1/mm.
     sections : rows of float
-        Sections of shaft and metaphysis, before the valgus of the shaft, in mm.
+        Cross-sections of shaft and metaphysis before the valgus rotation of the shaft, in mm.
     bumps : tuple of Ellipsoid
         Epicondyles and adductor tubercle.
     hollows : tuple of Ellipsoid
@@ -207,9 +208,9 @@ class FemurShape(Record, frozen=True):
     plate_mm : float
         Thickness of the subchondral bone plate of the condyles, in mm.
     plate_below_z : float
-        Height below which the bone has this plate, in mm.
+        Height below which the bone has a subchondral bone plate, in mm.
     plate_within_x : float
-        Distance from the middle within which the bone has this plate, in mm.
+        Distance from the middle within which the bone has a subchondral bone plate, in mm.
     canal_from_z_mm : float
         Height at which the medullary canal begins, in mm.
     canal_full_z_mm : float
@@ -249,9 +250,9 @@ class CorticalThicknessVariation(Record, frozen=True):
     Attributes
     ----------
     sd : float
-        SD relative to the mean thickness, where the cortex is `thin_mm` thick or thinner.
+        SD relative to the mean thickness, for cortex of thickness `thin_mm` or less.
     thin_mm : float
-        Thickness above which the SD in mm stays constant, in mm.
+        Thickness above which the SD in mm is constant, in mm.
     least_mm : float
         Smallest thickness, in mm.
     shortest_mm : float
@@ -268,7 +269,7 @@ class CorticalThicknessVariation(Record, frozen=True):
 
 
 class PlateauGaussian(Record, frozen=True):
-    """Gaussian elevation of the tibial plateau, or a dish if the height is negative.
+    """Gaussian elevation of the tibial plateau, or depression if the height is negative.
 
     Attributes
     ----------
@@ -295,17 +296,17 @@ class TibiaShape(Record, frozen=True):
     sections : rows of float
         Sections, in mm.
     deeper_medially : float
-        Relative increase of the AP depth with x, in 1/mm: the medial side is deeper.
+        Relative increase of the AP depth with x, in 1/mm; the medial side is deeper.
     deeper_above_z : float
-        Height below which this increase ends, in mm.
+        Height below which the AP depth does not depend on x, in mm.
     shaft_pivot_z_mm : float
-        Height at which the shaft bends, in mm.
+        Height of the pivot about which the shaft is rotated, in mm.
     cortex : rows of float
         Cortical thickness by height, in mm.
     plate_mm : float
         Thickness of the subchondral bone plate at the margins and between the condyles, in mm.
     plates : tuple of PlateauGaussian
-        Additional thickness of the plate in each compartment and on the spines, in mm.
+        Additional thickness of the subchondral bone plate in each compartment and on the spines, in mm.
     canal_from_z_mm : float
         Height at which the medullary canal begins, in mm.
     canal_full_z_mm : float
@@ -313,17 +314,17 @@ class TibiaShape(Record, frozen=True):
     rim_mm : float
         Radius of the rounded rim of the plateau, in mm.
     far_rim_mm : float
-        Radius of the rim in front and behind, in mm.
+        Radius of the anterior and posterior rim of the plateau, in mm.
     far_rim_y : float
-        Distance from the middle, in y, at which the rim has this radius, in mm.
+        Distance from the middle along y at which the rim has the radius `far_rim_mm`, in mm.
     edge_mm : float
-        Longest edge of a triangle, in mm.
+        Longest mesh edge, in mm.
     tolerance_mm : float
-        Distance of an edge's middle from the surface above which the edge is split, in mm.
+        Distance of the midpoint of a mesh edge from the surface above which the edge is split, in mm.
     bumps : tuple of Ellipsoid
         Tuberosity.
     relief : tuple of PlateauGaussian
-        Dishes, spines and other elevations of the plateau.
+        Depressions, spines and other elevations of the plateau.
     roughness_zones : tuple of RoughnessZone
         Zones with a rough surface.
     """
@@ -359,9 +360,9 @@ class FibulaShape(Record, frozen=True):
     gap_to_tibia_mm : float
         Width of the tibiofibular joint, in mm.
     joint_mm : (float, float, float)
-        Position of this joint on the tibia, in mm.
+        Position of the tibiofibular joint on the tibia, in mm.
     faces : (float, float, float)
-        Direction that the joint surface of the fibula faces.
+        Direction of the normal of the fibular joint surface.
     """
 
     sections: Rows
@@ -377,17 +378,17 @@ class PatellaShape(Record, frozen=True):
     Attributes
     ----------
     sections : rows of float
-        Sections, with z from the middle of the patella, in mm.
+        Cross-sections, with z measured from the middle of the patella, in mm.
     centre_mm : (float, float, float)
-        Middle of the patella in the frame of the template femur, in mm.
+        Centre of the patella in the frame of the template femur, in mm.
     tendon_end_mm : float
-        Height of the patellar tendon's end above the middle of its attachment on the tuberosity, in mm.
+        Height of the lower end of the patellar tendon above the middle of its attachment to the tuberosity, in mm.
     gap_to_femur_mm : float
-        Distance between the bones, in mm: cartilage of both.
+        Distance between patella and femur, in mm, which contains the cartilage of both bones.
     cartilage_mm : float
         Thickness of the patellar cartilage, in mm.
     cartilage_from : float
-        Relative height from which the back bears cartilage, from 0 at the apex to 1 at the base.
+        Relative height above which the posterior surface has cartilage, from 0 at the apex to 1 at the base.
     cortex : rows of float
         Cortical thickness by height, in mm.
     """
@@ -411,11 +412,11 @@ class FabellaShape(Record, frozen=True):
     z : float
         Height, in mm.
     reach_mm : float
-        Half side of the square in x and z within which the back of the femur is searched, in mm.
+        Half the side length of the square in x and z in which the posterior surface of the femur is searched, in mm.
     behind_mm : float
-        Distance behind the femur, in mm.
+        Distance of the fabella behind the femur, in mm.
     form : (float, float, float)
-        Half axes relative to half of the fabella's size, in x, y and z.
+        Half axes in x, y and z, relative to half the height of the fabella.
     cortex_mm : float
         Cortical thickness, in mm.
     """
@@ -431,7 +432,7 @@ class FabellaShape(Record, frozen=True):
 class OsteophyteMargin(Record, frozen=True):
     """Joint margin of a bone, on which osteophytes grow.
 
-    The pairs of distances are an offset in mm and a slope in mm per mm of osteophyte size.
+    Pairs of distances are an offset in mm and a slope in mm per mm of osteophyte size.
 
     Attributes
     ----------
@@ -440,11 +441,11 @@ class OsteophyteMargin(Record, frozen=True):
     at_z : float
         Approximate height of the margin, in mm.
     joint : {1.0, -1.0}
-        Direction towards the joint: 1 up, -1 down.
+        Direction towards the joint along z: 1 is proximal, -1 distal.
     medial_drop_mm : (float, float)
-        Distance of a medial osteophyte's joint-facing side from the joint surface, in mm.
+        Distance of the joint-facing surface of a medial osteophyte from the joint surface, in mm.
     lateral_drop_mm : (float, float)
-        Distance of a lateral osteophyte's joint-facing side from the joint surface, in mm.
+        Distance of the joint-facing surface of a lateral osteophyte from the joint surface, in mm.
     """
 
     band_z: Pair
@@ -470,9 +471,10 @@ class MarginalOsteophyteShape(Record, frozen=True):
     longest_mm : float
         Largest length along the margin, in mm.
     bulge : float
-        Protrusion of the base alone, as a fraction of the size.
+        Protrusion of the base without the edge, as a fraction of the size.
     turn_deg : float
-        Rotation of the outward direction at the front and back ends of the margin, from sideways, in degrees.
+        Angle between the direction of growth and the mediolateral axis at the anterior and posterior ends of the
+        margin, in degrees.
     """
 
     edge_mm: Pair
@@ -492,25 +494,26 @@ class CentralOsteophyteShape(Record, frozen=True):
     across_mm : float
         Distance from the middle of the knee to the middle of a compartment, in mm.
     base_half_width_mm : float
-        Half width, in x, of the bone surface from which the size is measured, in mm; on the tibia also in y.
+        Half width, in x, of the bone surface above which the size is measured, in mm; on the tibia also in y.
     femur_deg : (float, float)
-        Angles of the front and back end of the positions on the femur, from straight down towards the back, in degrees.
+        Angles of the most anterior and the most posterior position on the femur, from distal (0) to posterior, in
+        degrees.
     tibia_mm : (float, float)
-        Front and back end of the positions on the tibia, from the middle of the knee, in mm.
+        Most anterior and most posterior position on the tibia, measured from the middle of the knee, in mm.
     tibia_above_mm : float
-        Height above which the tibia counts as joint surface, in mm.
+        Height above which the surface of the tibia counts as joint surface, in mm.
     wide_mm : (float, float)
-        Distance from the centre to the feet.
+        Distance from the centre of the osteophyte to the spheres at its base.
     foot_mm : (float, float)
-        Radius of a foot.
+        Radius of a sphere at the base.
     sunk_mm : float
-        Depth of the feet below the bone surface, in mm.
+        Depth of the sphere centres at the base below the bone surface, in mm.
     tip_mm : (float, float)
-        Radius of the rounding of the top.
+        Radius of the rounded top.
     top_share : float
-        Width of the top relative to `wide_mm`.
+        Width of the top relative to the width of the base (`wide_mm`).
     top_falls : float
-        Fall of the top from its centre to its edge, as a fraction of the size.
+        Decrease of the height of the top from its centre to its edge, as a fraction of the size.
     """
 
     across_mm: float
@@ -527,7 +530,7 @@ class CentralOsteophyteShape(Record, frozen=True):
 
 
 class OsteophyteShapes(Record, frozen=True):
-    """Margins that bear osteophytes, and shapes of osteophytes.
+    """Joint margins with osteophytes, and shapes of osteophytes.
 
     Attributes
     ----------
@@ -570,7 +573,7 @@ class TemplateSize(Record, frozen=True):
     male_tibial_ml_mm : float
         ML width of the male tibial plateau, in mm.
     female_over_male : float
-        Size of female bones relative to male ones.
+        Size of female bones relative to male bones.
     stature_mm : StatureBySex
         Body height, in mm.
     """
@@ -616,7 +619,7 @@ class TemplateAnatomy(Record, frozen=True):
     muscles : tuple of MuscleShape
         Muscles, vessels and nerve.
     deep_fat : DeepFat
-        Tissue that fat inside the fascia does not fill.
+        Thickness of tissue inside the fascia that is not fat.
     effusion : EffusionShape
         Swelling of the joint.
     soft : LimbShape

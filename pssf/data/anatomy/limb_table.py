@@ -7,16 +7,16 @@ from ..table_records import Pair, Record, parse_record
 
 
 class LimbMeasureByBmi(Record, frozen=True):
-    """A measure of the limb whose mean increases linearly with BMI.
+    """Limb measure whose mean increases linearly with BMI.
 
     Attributes
     ----------
     at_bmi : float
         BMI at which the mean is `mean_mm`, in kg/m2.
     mean_mm : dict of str to float
-        Sex -> mean, in mm.
+        Mean for each sex, in mm.
     mm_per_bmi : dict of str to float
-        Sex -> increase of the mean, in mm per kg/m2.
+        Increase of the mean with BMI for each sex, in mm per kg/m2.
     range_mm : (float, float)
         Lower and upper bound, in mm.
     """
@@ -27,7 +27,7 @@ class LimbMeasureByBmi(Record, frozen=True):
     range_mm: Pair
 
     def mean_at_bmi(self, bmi: float, sex: str) -> float:
-        """Compute the mean at a BMI, within the bounds.
+        """Compute the mean at a given BMI, clipped to the bounds.
 
         Parameters
         ----------
@@ -44,7 +44,7 @@ class LimbMeasureByBmi(Record, frozen=True):
         return self.clip_to_range(self.mean_mm[sex] + self.mm_per_bmi[sex] * (bmi - self.at_bmi))
 
     def clip_to_range(self, value_mm: float) -> float:
-        """Limit a value to the bounds.
+        """Clip a value to the bounds.
 
         Parameters
         ----------
@@ -54,20 +54,20 @@ class LimbMeasureByBmi(Record, frozen=True):
         Returns
         -------
         float
-            The value, or the nearest bound, in mm.
+            Clipped value, in mm.
         """
         return round(min(max(value_mm, self.range_mm[0]), self.range_mm[1]), 4)
 
 
 class LimbStatistics(Record, frozen=True):
-    """Distribution of BMI, and dependence of limb measures on it.
+    """Distribution of BMI, and dependence of limb measures on BMI.
 
     Attributes
     ----------
     bmi : (float, float)
         Mean and SD of BMI, in kg/m2.
     limb : dict of str to LimbMeasureByBmi
-        Knee field -> its dependence on BMI.
+        Dependence on BMI of fields of `Knee`, keyed by field name.
     """
 
     bmi: Pair

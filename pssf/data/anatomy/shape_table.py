@@ -15,13 +15,13 @@ class ShapeMode(Record, frozen=True):
     Attributes
     ----------
     name : str
-        Measure of form that correlates best with the score of the mode; it increases with the score.
+        Shape measure with the highest correlation to the score of the mode; it increases with the score.
     correlation : float
-        This correlation.
+        Correlation between the shape measure and the score.
     also : str
-        Other measures that correlate with the score, with their sign.
+        Other shape measures that correlate with the score, with the sign of the correlation.
     share : float
-        Fraction of the variance of distances between surfaces.
+        Fraction of the variance of surface distances that the mode explains.
     rms_mm : (float, float, float)
         RMS displacement of the surfaces of femur, tibia and patella per SD, in mm.
     """
@@ -36,7 +36,7 @@ class ShapeMode(Record, frozen=True):
 class LatticeTable(Record, frozen=True):
     """Lattice of control points around a bone.
 
-    A line of the texts holds x, y and z of the control points of one column along z.
+    Each line of a displacement text contains x, y and z of the displacements of one column of control points along z.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class LatticeTable(Record, frozen=True):
     counts : (int, int, int)
         Number of control points along x, y and z.
     shaft : {1, -1, 0}
-        End at which the deformation continues along the shaft: 1 above, -1 below, 0 none.
+        End at which the deformation continues along the shaft: 1 is proximal, -1 distal, 0 neither.
     mean_mm : str
         Displacements from the template to the mean shape, in mm, as text.
     modes_mm : tuple of str
@@ -63,7 +63,7 @@ class LatticeTable(Record, frozen=True):
 
 
 class BoneLattices(Record, frozen=True):
-    """Lattices of the bones that have one.
+    """Lattices of control points of femur, tibia and patella.
 
     Attributes
     ----------
@@ -86,11 +86,11 @@ class ShapeModel(Record, frozen=True):
     Attributes
     ----------
     source : str
-        Source of the bones that the model was fitted to.
+        Source of the bones to which the model was fitted.
     licence : str
         Licence of the source.
     knees : int
-        Number of knees that the model was fitted to.
+        Number of knees to which the model was fitted.
     modes : tuple of ShapeMode
         Modes of variation.
     lattices : BoneLattices
@@ -114,7 +114,7 @@ def parse_displacements(text: str, counts: tuple[int, int, int], label: str) -> 
     counts : (int, int, int)
         Number of control points along x, y and z.
     label : str
-        Name of the table in the error message.
+        Name of the table, shown in error messages.
 
     Returns
     -------
@@ -124,15 +124,15 @@ def parse_displacements(text: str, counts: tuple[int, int, int], label: str) -> 
     Raises
     ------
     ValueError
-        If the text holds anything but finite numbers, or a wrong count of them.
+        If the text contains anything but finite numbers, or a wrong number of values.
     """
     try:
         values = np.array(text.split(), np.float64)
     except ValueError as error:
-        raise ValueError(f"table {label} must hold numbers, got: {error}") from None
+        raise ValueError(f"table {label} must contain only numbers, got: {error}") from None
     wanted = int(np.prod(counts)) * 3
     if len(values) != wanted or not np.isfinite(values).all():
-        raise ValueError(f"table {label} must hold {wanted} finite numbers, got {np.isfinite(values).sum()}")
+        raise ValueError(f"table {label} must contain {wanted} finite numbers, got {np.isfinite(values).sum()}")
     return values.reshape(*counts, 3)
 
 
@@ -149,7 +149,7 @@ def format_displacements(displacements_mm: Array, digits: int) -> str:
     Returns
     -------
     str
-        Text that `parse_displacements` reads.
+        Text in the format that `parse_displacements` reads.
     """
     rows = np.round(displacements_mm, digits).reshape(-1, displacements_mm.shape[2] * 3) + 0.0
     return "\n".join(" ".join(f"{value:.{digits}f}".rstrip("0").rstrip(".") for value in row) for row in rows)

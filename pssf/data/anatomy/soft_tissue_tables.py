@@ -10,7 +10,7 @@ from ..table_records import (
 
 
 class FemoralCartilage(Record, frozen=True):
-    """Bounds of the articular surface of the femur, in its frame, in mm.
+    """Bounds of the articular surface of the femur, in the frame of the femur, in mm.
 
     The surface has three parts. The distal part is below `below_z`. The posterior part is behind `behind_y` and below
     `behind_z`. The trochlea is in front of `before_y`, below `before_z` and within `before_x` of the middle. The notch
@@ -19,13 +19,13 @@ class FemoralCartilage(Record, frozen=True):
     Attributes
     ----------
     below_z : float
-        Height of the distal part.
+        Upper bound of the distal part.
     behind_y, behind_z : float
-        Front and upper bound of the posterior part.
+        Anterior and upper bound of the posterior part.
     before_y, before_z, before_x : float
-        Back, upper and lateral bound of the trochlea.
+        Posterior, upper and mediolateral bound of the trochlea.
     notch_x, notch_y : float
-        Half width and front bound of the notch.
+        Half width and anterior bound of the notch.
     """
 
     below_z: float
@@ -102,9 +102,9 @@ class Menisci(Record, frozen=True):
     lateral : Meniscus
         Lateral meniscus.
     height_mm : (float, float)
-        Lower and upper end of the rings, in mm.
+        Heights of the lower and the upper end of the rings, in mm.
     gap_mm : float
-        Width of the gap at which a ring is open towards the middle, in mm.
+        Width of the opening of a ring towards the middle of the knee, in mm.
     """
 
     medial: Meniscus
@@ -134,11 +134,11 @@ class PatellarTendon(Record, frozen=True):
     Attributes
     ----------
     from_apex : (float, float, float)
-        Upper end, from the apex of the patella, in mm.
+        Position of the upper end relative to the apex of the patella, in mm.
     tuberosity : (float, float, float)
-        Lower end, in the frame of the tibia, in mm.
+        Position of the lower end in the frame of the tibia, in mm.
     half : (float, float, float)
-        Half axes of its ends, in mm.
+        Half axes of the ends of the tendon, in mm.
     """
 
     from_apex: Triple
@@ -152,7 +152,7 @@ class QuadricepsTendon(Record, frozen=True):
     Attributes
     ----------
     from_base : (float, float, float)
-        Lower end, from the base of the patella, in mm.
+        Position of the lower end relative to the base of the patella, in mm.
     upwards : (float, float, float)
         Vector from the lower to the upper end, in the frame of the femur, in mm.
     half_below : (float, float, float)
@@ -184,16 +184,16 @@ class MuscleShape(Record, frozen=True):
 
 
 class DeepFat(Record, frozen=True):
-    """Thickness of tissue that the fat inside the fascia does not fill.
+    """Thickness of tissue inside the fascia that is not fat.
 
     Attributes
     ----------
     fascia_mm : float
         Thickness of the fascia, in mm.
     sheath_mm : float
-        Thickness around tendons and the fat pad, in mm.
+        Thickness of the layer around tendons and the fat pad, in mm.
     cover : rows of float
-        Rows of height z and thickness around the bones, in mm.
+        Rows of height z and thickness of the layer around the bones, in mm.
     """
 
     fascia_mm: float
@@ -207,11 +207,11 @@ class EffusionShape(Record, frozen=True):
     Attributes
     ----------
     height_profile : rows of float
-        Rows of height z (mm) and fraction of the swelling.
+        Rows of height z (mm) and fraction of the maximum swelling.
     front_and_back : float
-        Displacement of the fascia to the front and to the back, in mm per mm.
+        Displacement of the fascia in anterior and posterior direction, in mm per mm.
     medial : float
-        Displacement of the fascia to medial, in mm per mm.
+        Displacement of the fascia in medial direction, in mm per mm.
     """
 
     height_profile: Rows
@@ -220,22 +220,22 @@ class EffusionShape(Record, frozen=True):
 
 
 class SkinFold(Record, frozen=True):
-    """Skin fold: a furrow along part of the limb's circumference.
+    """Skin fold: a furrow along part of the circumference of the limb.
 
     Attributes
     ----------
     z : float
-        Height of its middle, in mm.
+        Height of the middle of the fold, in mm.
     towards_deg : float
-        Direction of its middle: 0 medial, 90 posterior, 180 lateral, 270 anterior, in degrees.
+        Direction of the middle of the fold in degrees: 0 medial, 90 posterior, 180 lateral, 270 anterior.
     half_turn_deg : float
-        Angle from its middle to either end, in degrees.
+        Angle from the middle of the fold to each end, in degrees.
     drop_mm : float
-        Height of its middle above its ends, in mm.
+        Height of the middle of the fold above its ends, in mm.
     width_mm : float
-        Width at the skin, in mm.
+        Width of the fold at the skin, in mm.
     share : float
-        Depth relative to the deepest fold.
+        Depth of the fold relative to the deepest fold.
     """
 
     z: float
@@ -252,16 +252,16 @@ class LimbShape(Record, frozen=True):
     Attributes
     ----------
     sections : rows of float
-        Rows of z (mm), half ML width beyond that around the bones (mm), half AP depth relative to that at the joint,
-        and centre y (mm).
+        Rows of z (mm), additional half ML width compared with the width around the bones (mm), half AP depth relative
+        to the half AP depth at the joint, and centre y (mm).
     capsule_mm : float
-        Distance from bone to fat, medial and lateral, in mm.
+        Distance between bone and subcutaneous fat on the medial and the lateral side, in mm.
     skin_mm : float
         Thickness of the skin, in mm.
     anterior_fat_share : float
         Thickness of the anterior fat relative to the medial fat.
     folds : tuple of SkinFold
-        Positions of skin folds.
+        Skin folds with their positions.
     """
 
     sections: Rows

@@ -5,7 +5,8 @@ from functools import cache
 from ..data_files import load_data_table
 from ..table_records import Record, parse_record
 
-# Density above which a material is no gas at atmospheric pressure, in g/cm3; it cannot be the ambient material.
+# Density above which a material is not a gas at atmospheric pressure, in g/cm3. Denser materials cannot be the ambient
+# material.
 DENSEST_GAS_G_PER_CM3 = 0.02
 
 
@@ -17,9 +18,9 @@ class Tissue(Record, frozen=True):
     density : float or None
         Density, in g/cm3; None for a mixture.
     composition : dict of str to float or None
-        Chemical element -> mass percent; None for a mixture.
+        Mass percent of each chemical element; None for a mixture.
     mix : dict of str to float or None
-        Material -> volume fraction; None for a material with a composition.
+        Volume fraction of each material in a mixture; None for a material with a composition.
     """
 
     density: float | None = None
@@ -34,6 +35,6 @@ def load_tissues() -> dict[str, Tissue]:
     Returns
     -------
     dict of str to Tissue
-        Name -> material.
+        Materials, keyed by name.
     """
     return parse_record(dict[str, Tissue], load_data_table("tissues"), "tissues")

@@ -1,6 +1,7 @@
 """Trabecular bone: smooth density of each bone, and the lattice of its struts (``data/trabeculae.toml``).
 
-Lengths are in mm at template size; those of the lattice are true lengths. BV/TV is bone volume over tissue volume.
+Lengths are in mm and are scaled with the size of the bones, except those of the lattice. BV/TV is bone volume divided
+by tissue volume.
 """
 
 from functools import cache
@@ -22,7 +23,7 @@ class BoneMarrowMix(Record, frozen=True):
     bvtv : float
         BV/TV.
     marrow : float
-        Attenuation of marrow relative to that of the mixture.
+        Attenuation of marrow relative to the attenuation of the mixture.
     """
 
     bvtv: float
@@ -30,7 +31,7 @@ class BoneMarrowMix(Record, frozen=True):
 
 
 class StrutLattice(Record, frozen=True):
-    """Periodic block of struts: a Gaussian random field with a given power spectrum, cut at a threshold.
+    """Periodic block of struts: a Gaussian random field with a given power spectrum and a threshold for bone.
 
     Attributes
     ----------
@@ -45,19 +46,20 @@ class StrutLattice(Record, frozen=True):
     low_per_mm : float
         Spatial frequency below which the power is flat, in 1/mm.
     high_per_mm : float
-        Spatial frequency above which the power falls, in 1/mm.
+        Spatial frequency above which the power decreases, in 1/mm.
     low_frequency_exponent : float
-        Exponent of the power between these frequencies.
+        Exponent of the power between `low_per_mm` and `high_per_mm`.
     high_frequency_exponent : float
-        Exponent with which the power falls above.
+        Exponent of the decrease of the power above `high_per_mm`.
     vertical_power : float
         Power of vertical struts.
     horizontal_power : float
         Power of horizontal struts.
     isotropic_power : float
-        Power of struts of any direction.
+        Power of struts without preferred direction.
     patches : (float, float)
-        Fraction of the variance that belongs to dense and sparse patches: median over knees, and SD of its logarithm.
+        Fraction of the variance due to dense and sparse patches: median over knees, and SD of the logarithm of the
+        fraction.
     patch_per_mm : float
         Bandwidth of the patches, in 1/mm.
     patch_aspect_ratio : float
@@ -98,13 +100,13 @@ class Ageing(Record, frozen=True):
     Attributes
     ----------
     reference_years : float
-        Age at which the other values hold, in years.
+        Age to which the other values refer, in years.
     per_year : float
         Relative decrease of BV/TV per year.
     mean : dict of str to float
-        Sex -> BV/TV at the reference age, relative to men.
+        BV/TV of each sex at the reference age, relative to men.
     contrast_per_year : dict of str to float
-        Sex -> relative increase of contrast per year.
+        Relative increase of strut contrast per year, for each sex.
     """
 
     reference_years: float
@@ -131,11 +133,11 @@ class StrutCoarseness(Record, frozen=True):
     Attributes
     ----------
     per_plate : float
-        Relative coarsening per unit of relative thickness of the subchondral bone plate.
+        Relative coarsening per unit increase of the relative thickness of the subchondral bone plate.
     per_year : dict of str to float
-        Sex -> relative coarsening per year.
+        Relative coarsening per year, for each sex.
     deviation : float
-        SD of the logarithm between persons.
+        SD of the logarithm of coarseness between persons.
     """
 
     per_plate: float
@@ -149,15 +151,15 @@ class Sclerosis(Record, frozen=True):
     Attributes
     ----------
     per_plate : float
-        Relative increase of BV/TV per unit of relative thickness of the plate.
+        Relative increase of BV/TV per unit increase of the relative thickness of the subchondral bone plate.
     deep_mm : float
-        Depth at which a quarter of the increase is left, in mm.
+        Depth at which the increase has fallen to a quarter, in mm.
     other_side : float
-        Increase of the plate's thickness in the other compartment, relative to the one that narrows.
+        Thickening of the subchondral bone plate in the other compartment, relative to the compartment that narrows.
     other_side_deep : float
-        Increase of BV/TV in the other compartment, relative to the one that narrows.
+        Increase of BV/TV in the other compartment, relative to the compartment that narrows.
     fills_per_plate : float
-        Relative decrease of strut contrast per unit of relative thickness of the plate.
+        Relative decrease of strut contrast per unit increase of the relative thickness of the subchondral bone plate.
     """
 
     per_plate: float
@@ -180,22 +182,22 @@ class MedialLateralTransition(Record, frozen=True):
 
 
 class PhysealScar(Record, frozen=True):
-    """Position and shape of the physeal scar, common to all bones.
+    """Parameters of the physeal scar that are the same for all bones.
 
     Attributes
     ----------
     off_mm : (float, float)
-        Range of the distance from the middle at which the scar is strongest, in mm.
+        Range of the distance from the middle of the bone at which the scar is strongest, in mm.
     wide_mm : float
-        Distance over which the scar falls to a quarter of its strength, in mm.
+        Distance over which the strength of the scar falls to a quarter, in mm.
     least : float
-        Smallest strength on either side, relative to the largest.
+        Smallest strength on the medial or the lateral side, relative to the largest strength.
     dome_off_mm : float
-        Largest distance between the middle of the dome and that of the bone, front to back, in mm.
+        Largest anteroposterior distance between the apex of the domed scar and the middle of the bone, in mm.
     ripple_mm : float
-        Amplitude of the waves of the sheet, in mm.
+        Amplitude of the waves of the scar, in mm.
     ripple_length_mm : float
-        Wavelength of the sheet, in mm.
+        Wavelength of the scar, in mm.
     """
 
     off_mm: Pair
@@ -216,7 +218,7 @@ class StrutWaviness(Record, frozen=True):
     length_mm : float
         Wavelength along a strut, in mm.
     across : float
-        Phase change across relative to that along a strut.
+        Phase change per mm across struts, relative to the phase change along struts.
     """
 
     amplitude_mm: float
@@ -225,88 +227,88 @@ class StrutWaviness(Record, frozen=True):
 
 
 class TrabecularDensityProfile(Record, frozen=True):
-    """Smooth part of the trabecular density of one bone.
+    """Smooth component of the trabecular density of one bone, without struts.
 
     Attributes
     ----------
     sclerosis : float
-        Fraction of the sclerosis that this bone shows.
+        Sclerosis of the bone as a fraction of the full sclerosis.
     shaft_direction : {1.0, -1.0}
-        Direction of the shaft along z.
+        Direction of the shaft along z: 1 is proximal, -1 distal.
     bvtv : float
         BV/TV in the epiphysis.
     shaft : float
-        BV/TV far down the shaft.
+        BV/TV in the shaft, far from the joint.
     fade_mm : float
-        Depth at which half of the difference is gone, in mm.
+        Depth at which BV/TV is the mean of epiphysis and shaft, in mm.
     medial : float
-        Relative increase towards the medial side.
+        Relative increase of BV/TV towards the medial side.
     load : float
-        Relative increase in the columns under the condyles, and decrease between them.
+        Relative increase of BV/TV in the columns under the condyles, and decrease between the columns.
     column_mm : float
-        Distance of the columns from the middle, in mm.
+        Distance of the columns from the middle of the bone, in mm.
     column_half_mm : float
         Half width of the columns, in mm.
     margin_mm : float
-        Distance from the middle beyond which BV/TV falls, in mm.
+        Distance from the middle of the bone beyond which BV/TV decreases, in mm.
     margin_half_mm : float
-        Distance beyond it at which half is left, in mm.
+        Distance beyond `margin_mm` at which BV/TV has fallen to half, in mm.
     plate : float
-        Relative increase at the subchondral bone plate.
+        Relative increase of BV/TV at the subchondral bone plate.
     plate_mm : float
-        Depth at which half of it is left, in mm.
+        Depth at which the increase at the plate has fallen to half, in mm.
     plate_struts : float
-        Fraction of this increase that is due to thicker struts; the rest is a dense mesh.
+        Fraction of the increase at the plate that is due to thicker struts; the rest is a dense mesh.
     plate_medial : float
-        Relative increase of it towards the medial side.
+        Relative change of the increase at the plate towards the medial side.
     between : float
-        Fraction of this increase that is missing between the compartments.
+        Fraction of the increase at the plate that is missing between the compartments.
     between_mm : float
-        Position at which it is missing, from the middle to medial, in mm.
+        Medial distance from the middle of the position with the missing increase, in mm.
     between_half_mm : float
-        Distance at which a quarter of this deficit is left, in mm.
+        Distance from `between_mm` at which the deficit has fallen to a quarter, in mm.
     struts : float
         Relative increase of strut contrast at the joint surface.
     struts_half_mm : float
-        Depth at which a quarter of it is left, in mm.
+        Depth at which the increase of strut contrast has fallen to a quarter, in mm.
     strut_convergence : float
-        Relative convergence of struts far down the shaft.
+        Relative convergence of struts in the shaft, far from the joint.
     strut_convergence_mm : float
-        Depth at which half of it is reached, in mm.
+        Depth at which half of the convergence is reached, in mm.
     strut_flattening : float
-        Factor by which horizontal struts are closer, and vertical ones farther apart, than in the lattice.
+        Factor by which horizontal struts are closer, and vertical struts farther apart, than in the lattice.
     joint : (float, float, float)
-        Circle (y, z, radius) about an axis along x that stands for the joint surface, in mm.
+        Circle (y, z, radius) about an axis along x that approximates the joint surface, in mm.
     below : float
-        Height, relative to the centre of the circle, above which this surface is vertical, in mm.
+        Height, relative to the centre of the circle, above which the approximated joint surface is vertical, in mm.
     dips : three of (float, float, float)
-        Deviations of the surface from the circle along x: centre, half width and height, in mm.
+        Deviations of the approximated joint surface from the circle along x: centre, half width and height, in mm.
     rim : float
-        Fraction of bone that is missing in the rim of the medial plateau.
+        Fraction of the bone that is missing in the rim of the medial plateau.
     rim_from_mm : float
-        Distance from the middle to medial from which it is missing, in mm.
+        Medial distance from the middle beyond which bone is missing, in mm.
     rim_mm : float
-        Depth below the joint surface to which it is missing, in mm.
+        Depth below the joint surface down to which bone is missing, in mm.
     rim_half_mm : float
-        Half width of these transitions, in mm.
+        Half width of the transitions at `rim_from_mm` and `rim_mm`, in mm.
     gain : float
-        Contrast of the struts: 1 leaves no bone between them.
+        Contrast of the struts; at 1 there is no bone between struts.
     gain_load : float
-        Relative increase of the contrast in the columns.
+        Relative increase of strut contrast in the columns.
     gain_shaft : float
-        Contrast of the struts far down the shaft.
+        Contrast of the struts in the shaft, far from the joint.
     scar_mm : (float, float)
         Range of the height of the physeal scar, in mm.
     scar_slope : float
-        Slope of the scar towards medial.
+        Slope of the scar in medial direction.
     scar_bow_per_mm : float
-        Curvature of the scar across, in 1/mm.
+        Mediolateral curvature of the scar, in 1/mm.
     scar_dome_per_mm : float
-        Curvature of the scar from front to back, in 1/mm.
+        Anteroposterior curvature of the scar, in 1/mm.
     scar_bvtv : float
         Additional BV/TV in the scar.
     scar_sides : (float, float)
-        Largest fraction of it on the lateral and on the medial side.
+        Largest fraction of `scar_bvtv` on the lateral and on the medial side.
     scar_half_mm : float
         Half thickness of the scar, in mm.
     """
@@ -363,15 +365,15 @@ class TrabecularBone(Record, frozen=True):
     lattice : StrutLattice
         Lattice of struts.
     ageing : Ageing
-        Dependence on age.
+        Dependence of trabecular bone on age.
     person : BoneDensityVariation
         Variation between persons.
     grain : StrutCoarseness
         Coarseness of struts.
     sclerosis : Sclerosis
-        Dependence on the subchondral bone plate.
+        Dependence of trabecular bone on the thickness of the subchondral bone plate.
     side : MedialLateralTransition
-        Transition between the sides.
+        Transition between the medial and the lateral side.
     scar : PhysealScar
         Physeal scar.
     sway : StrutWaviness
@@ -383,7 +385,7 @@ class TrabecularBone(Record, frozen=True):
     fibula : TrabecularDensityProfile
         Density of the fibula.
     patella : TrabecularDensityProfile
-        Density of the patella; also of the fabella.
+        Density of patella and fabella.
     """
 
     tissue: BoneMarrowMix

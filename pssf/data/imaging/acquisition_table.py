@@ -7,7 +7,7 @@ from ..table_records import Pair, Record, parse_record
 
 
 class CollimatedField(Record, frozen=True):
-    """Ranges of the sides of the collimated field on the detector.
+    """Ranges of the width and height of the collimated field on the detector.
 
     Attributes
     ----------
@@ -22,7 +22,7 @@ class CollimatedField(Record, frozen=True):
 
 
 class SideMarker(Record, frozen=True):
-    """Frequency of a side marker of lead on the radiograph.
+    """Frequency of lead side markers on radiographs.
 
     Attributes
     ----------
@@ -34,20 +34,20 @@ class SideMarker(Record, frozen=True):
 
 
 class AcquisitionVariability(Record, frozen=True):
-    """Distributions that a protocol is varied by for each radiograph.
+    """Distributions from which the protocol of each radiograph is varied.
 
     Attributes
     ----------
     spread : dict of str to float
-        Protocol field -> standard deviation about its nominal value, in the unit of the field.
+        Standard deviation about the nominal value, in the unit of the field, keyed by protocol field.
     step : dict of str to float
-        Protocol field -> step in which the console is set, in the unit of the field.
+        Step size of the setting at the console, in the unit of the field, keyed by protocol field.
     factor : dict of str to float
-        Protocol field -> standard deviation of the natural logarithm of its ratio to the nominal value.
+        Standard deviation of the natural logarithm of the ratio to the nominal value, keyed by protocol field.
     field : CollimatedField
-        Ranges of the collimated field.
+        Ranges of the size of the collimated field.
     marker : SideMarker
-        Frequency of a side marker.
+        Frequency of side markers.
     """
 
     spread: dict[str, float]

@@ -18,9 +18,9 @@ class Detector(Record, frozen=True):
     density : float
         Density of the scintillator, in g/cm3.
     thickness_mm : float
-        Thickness of the layer, in mm.
+        Thickness of the scintillator layer, in mm.
     packing : float
-        Fraction of the layer's volume that is scintillator.
+        Fraction of the volume of the layer that the scintillator fills.
     mtf_f0_per_mm : float
         f0 of the MTF, in 1/mm.
     mtf_power : float
@@ -71,6 +71,6 @@ def load_detectors() -> dict[str, Detector]:
     Returns
     -------
     dict of str to Detector
-        Name -> detector.
+        Detectors, keyed by name.
     """
     return parse_record(dict[str, Detector], load_data_table("detector"), "detector")

@@ -1,4 +1,4 @@
-"""DICOM attributes that are the same in every object, and coded terms (``data/dicom.toml``)."""
+"""DICOM attributes with constant values, and coded terms (``data/dicom.toml``)."""
 
 from functools import cache
 from typing import Any
@@ -11,26 +11,26 @@ Attributes = dict[str, Any]
 
 
 class DicomTables(Record, frozen=True):
-    """Constant DICOM attributes by kind of object, and coded terms.
+    """DICOM attributes with constant values for each type of object, and coded terms. Attributes are keyed by keyword.
 
     Attributes
     ----------
     every : dict of str to Any
-        Keyword -> value, in every object.
+        Attributes of every object.
     radiograph : dict of str to Any
-        Keyword -> value, in every radiograph.
+        Attributes of every radiograph.
     tube : dict of str to Any
-        Keyword -> value, in radiographs made with the spectrum of a tube.
+        Attributes of radiographs simulated with a tube spectrum.
     processing : dict of str to Any
-        Keyword -> value, in radiographs with linear pixels ("for processing").
+        Attributes of radiographs with linear pixels ("for processing").
     presentation : dict of str to Any
-        Keyword -> value, in radiographs after display processing ("for presentation").
+        Attributes of radiographs after display processing ("for presentation").
     knee : dict of str to Any
-        Keyword -> value, in radiographs of a knee.
+        Attributes of radiographs of a knee.
     segmentation : dict of str to Any
-        Keyword -> value, in segmentations.
+        Attributes of segmentations.
     codes : dict of str to (str, str, str)
-        Name -> coding scheme, code value and code meaning.
+        Coding scheme, code value and code meaning of each term, keyed by name.
     """
 
     every: Attributes

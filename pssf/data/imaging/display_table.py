@@ -1,4 +1,4 @@
-"""Display processing: parameters that turn linear pixels into an image for presentation (``data/looks.toml``)."""
+"""Display processing: parameters for converting linear pixels to an image for presentation (``data/looks.toml``)."""
 
 from functools import cache
 
@@ -7,36 +7,37 @@ from ..table_records import Record, parse_record
 
 
 class FlatPanelProcessing(Record, frozen=True):
-    """Parameters of the display processing of a flat panel: multi-scale contrast, latitude and a curve to grey.
+    """Parameters of flat-panel display processing: multi-scale contrast, latitude and grey-level curve.
 
     The processing works on natural logarithms of the signal.
 
     Parameters
     ----------
     power : float
-        Exponent of the amplification of details; 1 leaves them as they are, less than 1 amplifies small ones.
+        Exponent of the detail amplification; 1 does not change details, and values below 1 amplify small details.
     bound : float
-        Size of a detail that is not changed, natural logarithm of the signal.
+        Amplitude of details that do not change, in natural logarithm of the signal.
     core : float
-        Size below which all details have the same gain, since they are mostly noise; natural logarithm of the signal.
+        Amplitude below which all details have the same gain because they are mostly noise, in natural logarithm of the
+        signal.
     edge_gain : float
         Gain of the finest details.
     edge_mm : float
-        Size of details from which the edge gain is 1, in mm.
+        Spatial size of details from which the edge gain is 1, in mm.
     latitude_gain : float
         Gain of the coarsest structures.
     latitude_mm : float
-        Size of structures that get half of the latitude gain, in mm.
+        Spatial size of structures at which half of the effect of the latitude gain is reached, in mm.
     dark : float
-        Quantile of the limb's pixels that is shown black, 0 to 1.
+        Quantile of the limb pixels that is displayed as black, 0 to 1.
     bright : float
-        Quantile of the limb's pixels that is shown white, 0 to 1.
+        Quantile of the limb pixels that is displayed as white, 0 to 1.
     bend : float
-        Width of the bend at either end of the linear curve, as a fraction of the grey scale.
+        Width of the smooth transition at each end of the linear grey-level curve, as a fraction of the grey scale.
     air_above_fraction : float
-        Fraction of the brightest signal above which a pixel shows air.
+        Fraction of the maximum signal above which a pixel shows air.
     collimated_below_fraction : float
-        Fraction of the brightest signal below which a pixel is behind the collimator.
+        Fraction of the maximum signal below which a pixel is behind the collimator.
     """
 
     power: float
@@ -61,15 +62,15 @@ class ScreenFilm(Record, frozen=True):
     base : float
         Optical density of the film base.
     max_density : float
-        Optical density of the darkest part.
+        Maximum optical density.
     slope : float
-        Slope parameter of the characteristic curve; larger is steeper.
+        Slope parameter of the characteristic curve; larger values are steeper.
     middle : float
         Optical density at the median signal of the limb.
     air_above_fraction : float
-        Fraction of the brightest signal above which a pixel shows air.
+        Fraction of the maximum signal above which a pixel shows air.
     collimated_below_fraction : float
-        Fraction of the brightest signal below which a pixel is behind the collimator.
+        Fraction of the maximum signal below which a pixel is behind the collimator.
     """
 
     base: float
@@ -81,7 +82,7 @@ class ScreenFilm(Record, frozen=True):
 
 
 class BoundedNormal(Record, frozen=True):
-    """Normal distribution with bounds; samples beyond a bound are set to it.
+    """Normal distribution with bounds, to which samples are clipped.
 
     Attributes
     ----------
@@ -102,12 +103,12 @@ class BoundedNormal(Record, frozen=True):
 
 
 class ProcessingVariability(Record, frozen=True):
-    """Variation of `FlatPanelProcessing` between sites.
+    """Variation of `FlatPanelProcessing` between radiology departments.
 
     Attributes
     ----------
     weakly_processed_fraction : float
-        Fraction of radiographs with weak processing, whose gains have distributions of their own.
+        Fraction of radiographs with weak processing, for which the gains have separate distributions.
     latitude_gain : BoundedNormal
         Distribution of the latitude gain.
     edge_gain : BoundedNormal
@@ -117,13 +118,13 @@ class ProcessingVariability(Record, frozen=True):
     plain_edge_gain : BoundedNormal
         Distribution of the natural logarithm of the edge gain in weak processing.
     edge_mm : float
-        `FlatPanelProcessing.edge_mm` at all sites, in mm.
+        Value of `FlatPanelProcessing.edge_mm`, which does not vary, in mm.
     dark : BoundedNormal
-        Distribution of the quantile that is shown black.
+        Distribution of the quantile that is displayed as black.
     bright : BoundedNormal
-        Distribution of the quantile that is shown white.
+        Distribution of the quantile that is displayed as white.
     bend : BoundedNormal
-        Distribution of the width of the bends.
+        Distribution of the width of the transitions (`FlatPanelProcessing.bend`).
     """
 
     weakly_processed_fraction: float
@@ -138,7 +139,7 @@ class ProcessingVariability(Record, frozen=True):
 
 
 class DisplayProcessing(Record, frozen=True):
-    """Display processing of the package, and its variation between sites.
+    """Display processing of the package, and its variation between radiology departments.
 
     Attributes
     ----------
@@ -147,7 +148,7 @@ class DisplayProcessing(Record, frozen=True):
     film : ScreenFilm
         Parameters of the processing "film".
     spread : ProcessingVariability
-        Variation of "processed" between sites.
+        Variation of the processing "processed" between radiology departments.
     """
 
     processed: FlatPanelProcessing

@@ -1,4 +1,4 @@
-"""Content of the page of ``pssf explore``: its fields (``data/explore.toml``) and its files."""
+"""Content of the web page of ``pssf explore``: settings (``data/explore.toml``) and files."""
 
 from functools import cache
 from pathlib import Path
@@ -20,14 +20,14 @@ CONTENT_TYPES = {
 
 
 class FieldGroup(Record, frozen=True):
-    """Fields of the page under one heading.
+    """Group of fields under one heading of the page.
 
     Attributes
     ----------
     title : str
         Heading.
     fields : tuple of str
-        Names of fields, in order.
+        Names of the fields in the order of display.
     """
 
     title: str
@@ -35,14 +35,14 @@ class FieldGroup(Record, frozen=True):
 
 
 class PagePreset(Record, frozen=True):
-    """Starting state of the page.
+    """Preset of the page: protocol and knee.
 
     Attributes
     ----------
     protocol : str
         Name of the protocol.
     knee : dict of str to Any
-        Fields of the knee that differ from their defaults.
+        Values of the knee fields that differ from their defaults.
     """
 
     protocol: str
@@ -50,7 +50,7 @@ class PagePreset(Record, frozen=True):
 
 
 class PageSettings(Record, frozen=True):
-    """Settings of the page.
+    """Settings of the page of ``pssf explore``.
 
     Attributes
     ----------
@@ -59,17 +59,20 @@ class PageSettings(Record, frozen=True):
     protocol : tuple of FieldGroup
         Groups of protocol fields.
     hidden_fields : dict of str to tuple of str
-        "knee" and "protocol" -> fields that are in no group.
+        Fields that are in no group, for the keys "knee" and "protocol".
     slider : dict of str to (float, float)
-        Field -> range of its slider, if it is narrower than the range of the field; in the unit of the field.
+        Slider ranges that are narrower than the range of the field, in the unit of the field, keyed by field.
+    processing : dict of str to str
+        Label of each display processing; the first is the default of the page.
     preset : dict of str to PagePreset
-        Name -> starting state.
+        Presets, keyed by name.
     """
 
     knee: tuple[FieldGroup, ...]
     protocol: tuple[FieldGroup, ...]
     hidden_fields: dict[str, tuple[str, ...]]
     slider: dict[str, Pair]
+    processing: dict[str, str]
     preset: dict[str, PagePreset]
 
 
@@ -87,11 +90,11 @@ def load_page_settings() -> PageSettings:
 
 @cache
 def load_page_files() -> dict[str, tuple[str, bytes]]:
-    """Load the files that the page consists of.
+    """Load the files of the web page.
 
     Returns
     -------
     dict of str to (str, bytes)
-        File name -> content type and content.
+        Content type and content of each file, keyed by file name.
     """
     return {path.name: (CONTENT_TYPES[path.suffix], path.read_bytes()) for path in sorted(_PAGE_FOLDER.iterdir())}

@@ -1,4 +1,4 @@
-"""Scatter kernel: fitted constants of the scattered radiation (``data/scatter.toml``)."""
+"""Fitted constants of the scatter kernel (``data/scatter.toml``)."""
 
 from functools import cache
 
@@ -9,30 +9,31 @@ from ..table_records import Pair, Record, parse_record
 class ScatterTerm(Record, frozen=True):
     """Constants of one term of the scatter kernel.
 
-    The formula is in ``data/scatter.toml``. Only the sum of the terms was fitted; single constants have no meaning.
+    The equation is in ``data/scatter.toml``. Only the sum of the terms was fitted, so single constants have no physical
+    meaning.
 
     Attributes
     ----------
     log_strength : float
-        Natural logarithm of the strength.
+        Natural logarithm of the strength of the term.
     per_10_kv : float
-        Change of the logarithm per 10 kV.
+        Change of the logarithmic strength per 10 kV.
     per_log : float
-        Change of the logarithm per unit of the mean logarithm of the primary transmission.
+        Change of the logarithmic strength per unit of the mean logarithm of the primary transmission.
     mass_power : float
-        Power of the mass that is crossed.
+        Exponent of the relative mass per area.
     primary_power : float
-        Power of the primary transmission.
+        Exponent of the primary transmission.
     exit_power : float
-        Power of the smoothed primary transmission where rays leave the object.
+        Exponent of the smoothed primary transmission, which attenuates scatter on its way out of the object.
     exit_mm : float
-        Standard deviation of the Gaussian that smooths it, in mm.
+        Standard deviation of the Gaussian that smooths the logarithm of the primary transmission, in mm.
     inner_mm : float
         Standard deviation of the spread inside the object at relative mass 1, in mm.
     slope : float
         Increase of the standard deviation of the spread behind the object per mm of air gap.
     depth_mm : float
-        Length that is added to the air gap, in mm.
+        Length added to the air gap, in mm.
     """
 
     log_strength: float
@@ -55,7 +56,7 @@ class ProjectionKernel(Record, frozen=True):
     projection : str
         Name of the projection, as in `Protocol`.
     inner_power : float
-        Power of the mean relative mass in the spread inside the object.
+        Exponent of the mean relative mass in the width of the spread inside the object.
     term : tuple of ScatterTerm
         Terms whose sum is the scatter.
     """
@@ -66,12 +67,12 @@ class ProjectionKernel(Record, frozen=True):
 
 
 class SmallFieldBias(Record, frozen=True):
-    """Ratio of the kernel's scatter to that of the Monte Carlo simulation in small fields.
+    """Ratio of scatter by the kernel to scatter by the Monte Carlo simulation, in small fields.
 
     Attributes
     ----------
     side_mm : float
-        Largest value of the smaller side of the fields, on the detector, in mm.
+        Largest value of the smaller side of the field to which the ratios apply, on the detector, in mm.
     low : float
         Smallest ratio.
     high : float
@@ -91,19 +92,19 @@ class ScatterKernel(Record, frozen=True):
     reference_g_per_cm2 : float
         Mass per area at relative mass 1, in g/cm2.
     reference_log : float
-        Reference of the mean natural logarithm of the primary transmission.
+        Reference value of the mean natural logarithm of the primary transmission.
     reference_kv : float
         Reference tube voltage, in kV.
     tube_kv : (float, float)
-        Range to which the tube voltage is limited, in kV.
+        Range to which the tube voltage is clipped, in kV.
     most_mass : float
-        Limit of the relative mass.
+        Upper limit to which the relative mass is clipped.
     log_primary_range : (float, float)
-        Range to which the mean natural logarithm of the primary transmission is limited.
+        Range to which the mean natural logarithm of the primary transmission is clipped.
     full_field_mm : (float, float)
-        Width and height of the smallest field that the kernel is valid for, on the detector, in mm.
+        Width and height of the smallest field for which the kernel is valid, on the detector, in mm.
     small_fields : tuple of SmallFieldBias
-        Bias of the kernel in smaller fields, by increasing side.
+        Bias of the kernel in smaller fields, in order of increasing `side_mm`.
     sums : tuple of ProjectionKernel
         Kernels of the projections.
     """
@@ -129,12 +130,12 @@ class ScatterKernel(Record, frozen=True):
         Returns
         -------
         ProjectionKernel
-            Its kernel; the first one (AP) for a projection without a fit.
+            Kernel of the projection, or the first kernel (AP) if the projection has no fit.
         """
         return next((one for one in self.sums if one.projection == projection), self.sums[0])
 
     def find_small_field_bias(self, width_mm: float, height_mm: float) -> SmallFieldBias | None:
-        """Find the bias of the kernel in a field that is smaller than those it was fitted to.
+        """Find the bias of the kernel in a field that is smaller than the fitted fields.
 
         Parameters
         ----------

@@ -13,32 +13,38 @@ from ...core.checks import (
 from ..data_files import load_data_table
 from ..table_records import Pair, Record, parse_record
 
+# Largest seed: the largest signed 64-bit integer.
+_MAX_INT64 = 2**63 - 1
+
 
 class FieldSpec(Record, frozen=True):
     """Definition of one field: meaning, unit and allowed values.
 
     Attributes
     ----------
+    label : str
+        Short name on the page of ``pssf explore``, without unit.
     description : str
         Meaning of the field.
     unit : str
-        Unit of its value; empty if it has none.
+        Unit of the value; empty for values without a unit.
     range : (float, float) or None
         Bounds of a number.
     integer_range : (int, int) or None
-        Bounds of a whole number.
+        Bounds of an integer.
     choices : tuple or None
         Allowed words or numbers.
     pattern : str or None
-        Allowed characters of a name, in words.
+        Description of the allowed characters of a name.
     max_length : int or None
-        Largest number of characters of a text.
+        Maximum number of characters of a text.
     optional : bool
         Whether None is allowed.
     source : str
         Source of usual values.
     """
 
+    label: str
     description: str
     unit: str = ""
     range: Pair | None = None
@@ -55,7 +61,7 @@ class FieldSpec(Record, frozen=True):
         Parameters
         ----------
         name : str
-            Name of the field in the error message.
+            Name of the field, shown in error messages.
         value : Any
             Value to check.
 
@@ -79,24 +85,25 @@ class FieldSpec(Record, frozen=True):
 
     @property
     def number_type(self) -> type[float] | type[int] | None:
-        """Type of number, float or int; None if the field is no number."""
+        """Number type of the field, float or int; None if its values are not numbers."""
         return float if self.range else int if self.integer_range else None
 
     @property
     def allowed_text(self) -> str:
-        """Allowed values, in words."""
+        """Description of the allowed values."""
         bounds = self.range or self.integer_range
         if bounds:
-            return f"{bounds[0]:g} to {bounds[1]:g}"
+            return f"{bounds[0]:g} to {'2**63 - 1' if bounds[1] == _MAX_INT64 else format(bounds[1], 'g')}"
         if self.max_length:
             return f"text of 1 to {self.max_length} characters"
         return self.pattern or ", ".join(map(str, self.choices or ()))
 
 
 def check_fields(kind: str, values: Any) -> None:
-    """Check all fields of a parameter dataclass, and convert its numbers to Python's float and int.
+    """Check all fields of a parameter dataclass and convert numbers to Python's float and int.
 
-    The conversion is in place, even in a frozen dataclass: compiled code does not accept other number types.
+    The conversion is in place, even in a frozen dataclass. It is needed because compiled code does not accept other
+    number types.
 
     Parameters
     ----------
@@ -118,7 +125,7 @@ def check_fields(kind: str, values: Any) -> None:
 
 
 def beam_angle_range_deg() -> Pair:
-    """Return the range of the beam angle of a protocol.
+    """Return the allowed range of the beam angle of a protocol.
 
     Returns
     -------
@@ -132,7 +139,7 @@ def beam_angle_range_deg() -> Pair:
 
 @cache
 def load_field_specs(kind: str) -> dict[str, FieldSpec]:
-    """Load the definitions of all fields of a kind of object.
+    """Load the definitions of all fields of a knee, an osteophyte, a cyst or a protocol.
 
     Parameters
     ----------
@@ -142,7 +149,7 @@ def load_field_specs(kind: str) -> dict[str, FieldSpec]:
     Returns
     -------
     dict of str to FieldSpec
-        Field name -> definition.
+        Definitions, keyed by field name.
     """
     name = f"{kind}_fields"
     return parse_record(dict[str, FieldSpec], load_data_table(name), name)

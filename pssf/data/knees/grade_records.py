@@ -1,4 +1,4 @@
-"""Records of a grade table: distributions of the parameters of knees of each KL grade (read by `grade_tables`)."""
+"""Records of a grade table: parameter distributions of knees of each KL grade, loaded by `grade_tables`."""
 
 from ..table_records import (
     Numbers,
@@ -11,7 +11,7 @@ MeanSdByGrade = tuple[Pair, ...]
 
 
 class GradeRanges(Record, frozen=True):
-    """Ranges of the parameters of one grade, which are sampled uniformly.
+    """Parameter ranges of one grade, which are sampled uniformly.
 
     Attributes
     ----------
@@ -24,9 +24,9 @@ class GradeRanges(Record, frozen=True):
     largest_osteophyte_mm : (float, float)
         Size of the largest osteophyte, in mm.
     subchondral_plate : (float, float)
-        Thickness of the subchondral bone plate relative to a healthy one.
+        Thickness of the subchondral bone plate relative to a healthy plate.
     varus_deg : (float, float)
-        Varus angle beyond the normal valgus, in degrees.
+        Varus angle relative to the normal valgus, in degrees.
     """
 
     jsw_medial_mm: Pair
@@ -43,9 +43,9 @@ class FabellaDistribution(Record, frozen=True):
     Attributes
     ----------
     share : float
-        Fraction of knees that have a fabella.
+        Fraction of knees with a fabella.
     size_mm : (float, float)
-        Range of its height, in mm; sampled uniformly.
+        Range of the height of the fabella, in mm, which is sampled uniformly.
     """
 
     share: float
@@ -53,7 +53,7 @@ class FabellaDistribution(Record, frozen=True):
 
 
 class NarrowedSideDistribution(Record, frozen=True):
-    """Side of the narrowed compartment, and correlation of a knee's parameters with its latent severity.
+    """Distribution of the narrowed compartment, and correlation of parameters with the latent severity of a knee.
 
     Attributes
     ----------
@@ -74,15 +74,16 @@ class JointSpaceDistributions(Record, frozen=True):
     Attributes
     ----------
     correlation : float
-        Correlation of the two compartments of a knee.
+        Correlation between the joint space widths of the two compartments of a knee.
     least_mm : float
         Smallest joint space width, in mm.
     male_excess_mm : float
         Joint space width of men minus that of women, in mm.
     medial : dict of str to ((float, float), (float, float))
-        KL grade -> mean and SD of the narrowed and of the other compartment, in mm, if the medial one narrows.
+        Distributions for knees whose medial compartment narrows, keyed by KL grade: mean and SD of the narrowed
+        compartment, then of the other compartment, in mm.
     lateral : dict of str to ((float, float), (float, float))
-        The same if the lateral compartment narrows.
+        Distributions for knees whose lateral compartment narrows, with the same entries.
     """
 
     correlation: float
@@ -93,18 +94,18 @@ class JointSpaceDistributions(Record, frozen=True):
 
 
 class AccompanyingOsteophytes(Record, frozen=True):
-    """Further osteophytes on the same margin, in front of a large osteophyte and behind it.
+    """Distribution of additional osteophytes in front of and behind a large osteophyte on the same margin.
 
     Attributes
     ----------
     from_mm : float
-        Size of an osteophyte from which it has others beside it, in mm.
+        Size of the main osteophyte from which additional osteophytes occur, in mm.
     share : float
-        Probability of another one, at each end.
+        Probability of an additional osteophyte, in front and behind each.
     place : (float, float)
-        Range of its position along the margin, from the middle (0) to the end (1).
+        Range of the position of an additional osteophyte along the margin, from the middle (0) to the end (1).
     size : (float, float)
-        Range of its size, relative to the first one.
+        Range of the size of an additional osteophyte, relative to the main osteophyte.
     """
 
     from_mm: float
@@ -114,36 +115,36 @@ class AccompanyingOsteophytes(Record, frozen=True):
 
 
 class OsteophyteDistributions(Record, frozen=True):
-    """Distributions of osteophytes: a latent value per site is cut into OARSI grades, which have ranges of size.
+    """Distributions of osteophytes: a latent value per site determines the OARSI grade, and the grade the size range.
 
-    The latent value is the sum of the terms below and is cut at 0, 1 and 2.
+    The latent value is a sum of terms. The thresholds between OARSI grades 0, 1, 2 and 3 are 0, 1 and 2.
 
     Attributes
     ----------
     level : tuple of float
         Mean of the latent value, per KL grade.
     site : dict of str to float
-        Site -> offset of the latent value.
+        Offset of the latent value for each site.
     narrowed_side : float
-        Offset of the latent value on the side that narrows.
+        Offset of the latent value in the compartment that narrows.
     person_sd : float
         SD of the latent value between knees.
     site_sd : float
         SD of the latent value between the sites of a knee.
     size_mm : tuple of (float, float)
-        Range of size of OARSI grades 0, 1, 2 and 3, in mm.
+        Size ranges of OARSI grades 0, 1, 2 and 3, in mm.
     doubtful_mm : float
-        Largest size in knees of KL 1, in mm.
+        Largest osteophyte size in knees of KL 1, in mm.
     spine : tuple of float
-        Fraction of knees with an osteophyte on the tibial spine of the narrowed side, per KL grade.
+        Fraction of knees with an osteophyte on the tibial spine of the narrowed compartment, per KL grade.
     spine_other : float
-        Fraction for the spine of the other side, relative to that of the narrowed side.
+        Fraction for the tibial spine of the other compartment, relative to the narrowed compartment.
     spine_mm : (float, float)
-        Range of size of osteophytes on tibial spines, in mm.
+        Size range of osteophytes on tibial spines, in mm.
     around : AccompanyingOsteophytes
-        Further osteophytes on the same margin.
+        Additional osteophytes on the same margin.
     curve_deg : dict of str to (float, float)
-        Site -> mean and SD of the curve of the osteophyte towards the joint, in degrees.
+        Mean and SD of the curvature of osteophytes towards the joint at each site, in degrees.
     """
 
     level: Numbers
@@ -168,11 +169,11 @@ class CentralOsteophyteDistribution(Record, frozen=True):
     share : tuple of float
         Fraction of knees with a central osteophyte, per KL grade.
     femur : float
-        Fraction of these that are on the femur; the others are on the tibia.
+        Fraction of central osteophytes on the femur; the others are on the tibia.
     narrowed : float
-        Fraction of these that are in the compartment that narrows.
+        Fraction of central osteophytes in the compartment that narrows.
     size_mm : (float, float)
-        Range of size, in mm.
+        Size range, in mm.
     """
 
     share: Numbers
@@ -182,26 +183,26 @@ class CentralOsteophyteDistribution(Record, frozen=True):
 
 
 class GradeCovariates(Record, frozen=True):
-    """Further parameters that depend on the KL grade; every tuple has one entry per grade.
+    """Other parameters that depend on the KL grade. Every tuple has one entry per grade.
 
     Attributes
     ----------
     plate : tuple of (float, float)
-        Mean and SD of the thickness of the subchondral bone plate, relative to a healthy one.
+        Mean and SD of the thickness of the subchondral bone plate, relative to a healthy plate.
     varus_deg : tuple of (float, float)
-        Mean and SD of the deformity towards the narrowed side, in degrees.
+        Mean and SD of the deformity towards the narrowed compartment, in degrees.
     lean_per_varus : float
-        Lean of the leg per degree of varus, which keeps the joint line level; in degrees per degree.
+        Additional lean of the leg per degree of varus, which keeps the joint line horizontal, in degrees per degree.
     bone_scale_factor : tuple of float
-        Factor of the size of the bones.
+        Factor by which the bone size is multiplied.
     age_years : tuple of (float, float)
         Mean and SD of age, in years.
     women : tuple of float
         Fraction of women.
     bmi_offset : tuple of float
-        BMI minus the mean of the population, in kg/m2.
+        Mean BMI minus the population mean, in kg/m2.
     density_offset : tuple of float
-        Relative density of trabecular bone minus the mean of the population.
+        Mean relative density of trabecular bone minus the population mean.
     """
 
     plate: MeanSdByGrade
@@ -222,11 +223,11 @@ class CystDistribution(Record, frozen=True):
     share : tuple of float
         Fraction of knees with cysts, per KL grade.
     max_count : int
-        Largest number of cysts per knee.
+        Maximum number of cysts per knee.
     tibia : float
-        Fraction of cysts that are in the tibia; the others are in the femur.
+        Fraction of cysts in the tibia; the others are in the femur.
     narrowed : float
-        Fraction of cysts that are in the compartment that narrows.
+        Fraction of cysts in the compartment that narrows.
     diameter_mm : (float, float)
         Range of the inner diameter, in mm.
     """
@@ -239,7 +240,7 @@ class CystDistribution(Record, frozen=True):
 
 
 class NotchGrowthDistribution(Record, frozen=True):
-    """Growth of bone into the intercondylar notch.
+    """Distribution of bone growth into the intercondylar notch.
 
     Attributes
     ----------
@@ -254,7 +255,7 @@ class NotchGrowthDistribution(Record, frozen=True):
 
 
 class EffusionDistribution(Record, frozen=True):
-    """Swelling of the joint.
+    """Distribution of joint swelling due to effusion.
 
     Attributes
     ----------
@@ -269,19 +270,20 @@ class EffusionDistribution(Record, frozen=True):
 
 
 class SkinFoldLimits(Record, frozen=True):
-    """Depth of skin folds, which is sampled uniformly from 0 to a limit.
+    """Upper limits of the depth of skin folds, which is sampled uniformly from 0 to the limit.
 
     Attributes
     ----------
     max_depth_by_bmi : tuple of (float, float)
-        Rows of BMI, in kg/m2, and limit of the depth, as a fraction of the fat beneath; interpolated linearly.
+        Rows of BMI in kg/m2 and upper limit of the depth as a fraction of the fat thickness; limits are interpolated
+        linearly.
     """
 
     max_depth_by_bmi: Rows
 
 
 class MechanicalAxisDistribution(Record, frozen=True):
-    """Angle between the shaft of the femur and its mechanical axis, which points to the centre of the hip.
+    """Distribution of the angle between the shaft of the femur and the mechanical axis through the hip centre.
 
     Attributes
     ----------
@@ -293,12 +295,12 @@ class MechanicalAxisDistribution(Record, frozen=True):
 
 
 class SubluxationDistribution(Record, frozen=True):
-    """Lateral subluxation of the tibia in knees whose medial compartment narrows.
+    """Distribution of lateral tibial subluxation in knees whose medial compartment narrows.
 
     Attributes
     ----------
     lateral_mm : tuple of (float, float)
-        Mean and SD of the displacement to lateral, per KL grade, in mm.
+        Mean and SD of the lateral displacement, per KL grade, in mm.
     bounds_mm : (float, float)
         Lower and upper bound, in mm.
     """
@@ -308,12 +310,12 @@ class SubluxationDistribution(Record, frozen=True):
 
 
 class ReaderAgreement(Record, frozen=True):
-    """Agreement of a reader with the KL grade that a knee was sampled for.
+    """Agreement of a reader with the KL grade for which a knee was sampled.
 
     Attributes
     ----------
     kappa : float
-        Cohen's kappa, unweighted, if all grades are equally frequent.
+        Unweighted Cohen's kappa for equally frequent grades.
     """
 
     kappa: float
@@ -325,11 +327,11 @@ class SharedGradeTable(Record, frozen=True):
     Attributes
     ----------
     body : dict of str to (float, float) or dict
-        Knee field -> mean and SD, for both sexes or for each.
+        Mean and SD of body measures, common to both sexes or per sex, keyed by knee field.
     pose : dict of str to (float, float)
-        Knee field -> range, which is sampled uniformly.
+        Ranges of the pose, which are sampled uniformly, keyed by knee field.
     form : dict of str to (float, float) or dict
-        As `body`, for fields that are sampled together with the scores of the bones' shape.
+        Mean and SD of fields that are sampled together with the scores of bone shape, in the same format as `body`.
     fabella : FabellaDistribution
         Frequency and size of the fabella.
     """
@@ -341,51 +343,51 @@ class SharedGradeTable(Record, frozen=True):
 
 
 class RangeGradeTable(SharedGradeTable, frozen=True):
-    """Grade table in which each grade has ranges of its parameters.
+    """Grade table that defines parameter ranges for each grade.
 
     Attributes
     ----------
     grade : dict of str to GradeRanges
-        KL grade, as text -> ranges.
+        Parameter ranges, keyed by KL grade as text.
     """
 
     grade: dict[str, GradeRanges]
 
     @property
     def grades(self) -> tuple[int, ...]:
-        """All KL grades, in increasing order."""
+        """All KL grades of the table, in increasing order."""
         return tuple(sorted(int(name) for name in self.grade))
 
 
 class SeverityGradeTable(SharedGradeTable, frozen=True):
-    """Grade table in which the parameters of a knee correlate with one latent severity.
+    """Grade table in which the parameters of a knee correlate with a latent severity.
 
     Attributes
     ----------
     side : NarrowedSideDistribution
-        Side that narrows, and correlation with the severity.
+        Distribution of the narrowed compartment, and correlation with the severity.
     spaces : JointSpaceDistributions
-        Joint space widths.
+        Distributions of joint space widths.
     osteophytes : OsteophyteDistributions
-        Osteophytes at margins and on tibial spines.
+        Distributions of osteophytes at joint margins and on tibial spines.
     rest : GradeCovariates
         Subchondral bone plate, alignment, size of the bones, age, sex, BMI and bone density.
     reader : ReaderAgreement
-        Agreement of a reader.
+        Agreement of a simulated reader.
     central : CentralOsteophyteDistribution or None
-        Central osteophytes; None for none.
+        Distribution of central osteophytes; None if the table has none.
     cysts : CystDistribution or None
-        Subchondral cysts; None for none.
+        Distribution of subchondral cysts; None if the table has none.
     subluxation : SubluxationDistribution or None
-        Subluxation of the tibia; None for none.
+        Distribution of tibial subluxation; None if the table has none.
     notch : NotchGrowthDistribution or None
-        Growth into the notch; None for none.
+        Distribution of bone growth into the notch; None if the table has none.
     effusion : EffusionDistribution or None
-        Swelling of the joint; None for none.
+        Distribution of joint swelling; None if the table has none.
     skin_folds : SkinFoldLimits or None
-        Skin folds; None for none.
+        Limits of skin folds; None if the table has none.
     hip : MechanicalAxisDistribution or None
-        Mechanical axis of the femur; None for the default of `Knee`.
+        Distribution of the mechanical axis of the femur; None for the default of `Knee`.
     """
 
     side: NarrowedSideDistribution
@@ -403,5 +405,5 @@ class SeverityGradeTable(SharedGradeTable, frozen=True):
 
     @property
     def grades(self) -> tuple[int, ...]:
-        """All KL grades, in increasing order."""
+        """All KL grades of the table, in increasing order."""
         return tuple(range(len(self.rest.bone_scale_factor)))

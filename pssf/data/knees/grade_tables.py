@@ -1,4 +1,4 @@
-"""Grade tables: distributions of knees of each KL grade, by name or from a user's own TOML file."""
+"""Grade tables: parameter distributions of knees of each KL grade, loaded by name or from a user's own TOML file."""
 
 import os
 import warnings
@@ -14,9 +14,9 @@ from ..user_files import convert_os_errors
 from .grade_records import RangeGradeTable, SeverityGradeTable, SharedGradeTable
 
 _FOLDER = Path(__file__).resolve().parents[1] / "grades"
-# Earlier name of a table -> current name.
+# Deprecated name of a table -> current name.
 _RENAMED_TABLES = {"people": "population"}
-# Entries that only tables with a latent severity have.
+# Entries that occur only in tables with a latent severity.
 _SEVERITY_ENTRIES = frozenset(SeverityGradeTable.__struct_fields__) - frozenset(SharedGradeTable.__struct_fields__)
 
 
@@ -31,9 +31,9 @@ def list_grade_tables() -> list[str]:
     return list(_list_names())
 
 
-@cache  # The names are read for every knee that has a grade.
+@cache  # The names are needed for every knee with a grade.
 def _list_names() -> tuple[str, ...]:
-    """List the grade tables of the package; cached."""
+    """List the names of the grade tables in the package, with a cache."""
     return tuple(sorted(path.stem for path in _FOLDER.glob("*.toml")))
 
 
@@ -43,17 +43,17 @@ def resolve_grade_table_name(name: str) -> str:
     Parameters
     ----------
     name : str
-        Current or earlier name.
+        Current or deprecated name.
 
     Returns
     -------
     str
-        Current name; an unknown name is returned as it is.
+        Current name; an unknown name is returned unchanged.
 
     Warns
     -----
     DeprecationWarning
-        If an earlier name is given.
+        If a deprecated name is given.
     """
     if name not in _RENAMED_TABLES:
         return name
@@ -85,8 +85,8 @@ def list_tables_with_grade(grade: int) -> list[str]:
 def load_grade_table(name_or_path: str) -> RangeGradeTable | SeverityGradeTable:
     """Load a grade table by name, or from a TOML file.
 
-    A file may name another table as its ``base`` and give only the entries that differ. A partial ``[grade.0]`` changes
-    these ranges of the base's grade 0 and keeps the others; ``[grade.3]`` adds a grade.
+    A file may name another table as its ``base`` and list only the entries that differ. For example, ``[grade.0]`` with
+    some ranges changes only these ranges of grade 0 of the base table. ``[grade.3]`` adds a grade.
 
     Parameters
     ----------
@@ -96,12 +96,13 @@ def load_grade_table(name_or_path: str) -> RangeGradeTable | SeverityGradeTable:
     Returns
     -------
     RangeGradeTable or SeverityGradeTable
-        The table; its kind depends on its entries.
+        Grade table, whose type depends on the entries of the file.
 
     Raises
     ------
     InputError
-        If the name is unknown, the file is not readable TOML or no grade table, or its base leads back to itself.
+        If the name is unknown, the file is not readable TOML or not a grade table, or the chain of base tables contains
+        a loop.
     """
     path = _resolve_path(name_or_path)
     table = _read_with_base(path, ())
@@ -116,11 +117,11 @@ def load_grade_table(name_or_path: str) -> RangeGradeTable | SeverityGradeTable:
 
 
 def _read_with_base(path: Path, ancestors: tuple[Path, ...]) -> dict[str, Any]:
-    """Read a table and complete it with its base; from a base of the other kind only the shared entries are taken."""
+    """Read a table and add the entries of its base; from a base of the other type, only the shared entries are used."""
     with convert_os_errors(path, "a readable TOML file"):
         here = Path(os.path.realpath(path))
     if here in ancestors:
-        raise InputError(f"base of grade table {ancestors[0].name} must not lead back to itself, got {path.name}")
+        raise InputError(f"base of grade table {ancestors[0].name} must not form a loop, got {path.name}")
     table = read_toml(path)
     base = table.pop("base", None)
     if base is None:
@@ -136,7 +137,7 @@ def _read_with_base(path: Path, ancestors: tuple[Path, ...]) -> dict[str, Any]:
 
 
 def _merge_tables(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
-    """Merge a table into its base, entry by entry; the order is that of the base, since samples depend on it."""
+    """Merge a table into its base, entry by entry, in the order of the base, because samples depend on the order."""
     merged = dict(base)
     for name, value in table.items():
         both = isinstance(value, dict) and isinstance(base.get(name), dict)
@@ -157,7 +158,7 @@ def _resolve_path(name_or_path: str) -> Path:
 
 
 def _require_every_grade(table: SeverityGradeTable, name: str) -> None:
-    """Raise InputError unless every list of a severity table has one entry per grade."""
+    """Raise InputError if a list in a severity table does not have one entry per grade."""
     grades = [str(grade) for grade in table.grades]
     lists: dict[str, Sized] = {
         "osteophytes.level": table.osteophytes.level,
@@ -180,7 +181,7 @@ def _require_every_grade(table: SeverityGradeTable, name: str) -> None:
     for entry, values in lists.items():
         if len(values) != len(grades):
             raise InputError(
-                f"{entry} of grade table {name} must have {len(grades)} entries, as rest.bone_scale_factor, "
+                f"{entry} of grade table {name} must have {len(grades)} entries, as many as rest.bone_scale_factor, "
                 f"got {len(values)}"
             )
     for entry, laws in (("spaces.medial", table.spaces.medial), ("spaces.lateral", table.spaces.lateral)):

@@ -12,16 +12,16 @@ from ..table_records import (
 
 
 class KellgrenLawrenceRule(Record, frozen=True):
-    """Thresholds of the KL grade that is derived from an anatomy.
+    """Thresholds for deriving the KL grade from an anatomy.
 
     Attributes
     ----------
     doubtful_mm : float
-        Size above which an osteophyte is doubtful, in mm.
+        Size above which an osteophyte counts as doubtful, in mm.
     definite_mm : float
-        Size from which an osteophyte is definite, in mm.
+        Size from which an osteophyte counts as definite, in mm.
     jsw_loss_fractions : (float, float)
-        Fractions of the healthy joint space whose loss is definite (KL 3) and severe (KL 4).
+        Thresholds of the lost fraction of the healthy joint space for definite (KL 3) and severe (KL 4) narrowing.
     """
 
     doubtful_mm: float
@@ -30,24 +30,24 @@ class KellgrenLawrenceRule(Record, frozen=True):
 
 
 class OarsiThresholds(Record, frozen=True):
-    """Lowest values of OARSI grades 1, 2 and 3, and healthy joint spaces.
+    """Lower thresholds of OARSI grades 1, 2 and 3, and healthy joint spaces.
 
     Attributes
     ----------
     osteophyte_mm : (float, float, float)
-        Size of an osteophyte, in mm.
+        Thresholds of osteophyte size, in mm.
     narrowing : (float, float, float)
-        Fraction of the healthy joint space that is lost.
+        Thresholds of the lost fraction of the healthy joint space.
     healthy_mm : dict of str to (float, float)
-        Definition of the joint space width -> healthy medial and lateral width, in mm, mean of both sexes.
+        Healthy medial and lateral joint space width in mm, mean of both sexes, keyed by the definition of the width.
     male_excess_mm : dict of str to float
-        Definition of the joint space width -> width of men minus that of women, in mm.
+        Joint space width of men minus that of women in mm, keyed by the definition of the width.
     plate : (float, float, float)
-        Thickness of the tibial subchondral bone plate relative to a healthy one.
+        Thresholds of the thickness of the tibial subchondral bone plate, relative to a healthy plate.
     attrition_mm : (float, float, float)
-        Largest depth worn off a compartment of the plateau, in mm.
+        Thresholds of the largest depth worn off a compartment of the plateau, in mm.
     kellgren_lawrence : KellgrenLawrenceRule
-        Thresholds of the derived KL grade.
+        Thresholds for the derived KL grade.
     """
 
     osteophyte_mm: Triple
@@ -68,7 +68,7 @@ class OarsiThresholds(Record, frozen=True):
         sex : {"male", "female"}
             Sex.
         jsw_definition : {"projected", "read"}
-            How the width is measured, as in `Knee.jsw_definition`.
+            Definition of the width, as in `Knee.jsw_definition`.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Cohort presets: number of knees, protocols, doses and repeats by name (``data/presets.toml``)."""
+"""Cohort presets: number of knees, protocols, doses and repeats (``data/presets.toml``)."""
 
 from functools import cache
 
@@ -16,23 +16,23 @@ class CohortPreset(Record, frozen=True):
     bilateral : int
         Number of subjects with both knees in the cohort.
     protocols : tuple of str
-        Names of protocols.
+        Names of the protocols.
     repeats : int
         Number of random splits by subject.
     retested : int
-        Number of knees that are radiographed a second time, for the reliability of features.
+        Number of knees that are imaged a second time, for the reliability of features.
     acquisition : str
-        "fixed": nominal protocols; "sampled": sampled acquisition variability, as in `sample_acquisition`.
+        "fixed" uses nominal protocols, and "sampled" samples acquisition variability as in `sample_acquisition`.
     grade_table : str
-        Name of the grade table that knees are sampled from.
+        Name of the grade table from which knees are sampled.
     doses : tuple of float
-        Factors of a protocol's mAs. Each protocol is used with every combination of dose and tilt.
+        Factors that multiply the mAs of a protocol. Each protocol is used with every combination of dose and tilt.
     tilts_deg : tuple of float
-        Changes of a protocol's beam angle, in degrees.
+        Angles that are added to the beam angle of a protocol, in degrees.
     matrix : int
-        Pixels along the longer side of the detector; 0 keeps the detector of the protocol.
+        Number of pixels along the longer side of the detector; 0 keeps the detector of the protocol.
     settings : tuple of str
-        Changes of knee and protocol fields, in the form "field=value".
+        Changes of knee and protocol fields, as "field=value".
     """
 
     knees: tuple[int, ...]
@@ -55,6 +55,6 @@ def load_presets() -> dict[str, CohortPreset]:
     Returns
     -------
     dict of str to CohortPreset
-        Name -> preset.
+        Presets, keyed by name.
     """
     return parse_record(dict[str, CohortPreset], load_data_table("presets"), "presets")

@@ -16,14 +16,14 @@ MeanSdByGrade = tuple[Pair, Pair, Pair, Pair, Pair]
 class ProgressionThresholds(Record, frozen=True):
     """Osteophyte sizes that determine the KL grade of a knee as it progresses.
 
-    Other thresholds are those of `oarsi_table.KellgrenLawrenceRule`.
+    The thresholds of joint space loss are in `oarsi_table.KellgrenLawrenceRule`.
 
     Attributes
     ----------
     doubtful_mm : float
-        Size from which an osteophyte is doubtful, in mm.
+        Size from which an osteophyte counts as doubtful, in mm.
     definite_mm : tuple of float
-        Size from which an osteophyte is definite, per KL grade at the start, in mm.
+        Size from which an osteophyte counts as definite, per KL grade at the first visit, in mm.
     """
 
     doubtful_mm: float
@@ -31,32 +31,32 @@ class ProgressionThresholds(Record, frozen=True):
 
 
 class ProgressionRates(Record, frozen=True):
-    """Annual changes of a knee, per KL grade 0 to 4 at the start; pairs are mean and SD of a gamma distribution.
+    """Annual changes of a knee, per KL grade 0 to 4 at the first visit. Pairs are mean and SD of a gamma distribution.
 
     Attributes
     ----------
     loss_mm : tuple of (float, float)
         Loss of joint space in the compartment that narrows, in mm per year.
     other_compartment_fraction : float
-        Loss in the other compartment, relative to the one that narrows.
+        Loss of joint space in the other compartment, relative to the compartment that narrows.
     medial : float
-        Fraction of knees in which the medial compartment narrows, if the grade does not determine the side.
+        Fraction of knees in which the medial compartment narrows, for grades below `narrowed_side_known_from_grade`.
     narrowed_side_known_from_grade : int
-        KL grade from which the compartment that has lost more keeps narrowing.
+        KL grade from which the compartment with the greater loss continues to narrow.
     varus_deg_per_mm : float
-        Change of alignment per difference in loss between the compartments, in degrees per mm.
+        Change of alignment per mm of difference in loss between the compartments, in degrees per mm.
     osteophyte_mm : tuple of (float, float)
         Growth of osteophytes, in mm per year.
     growth_factor_range : (float, float)
-        Range of the factor of growth of a single osteophyte, sampled uniformly.
+        Range of the growth factor of a single osteophyte, which is sampled uniformly.
     new_osteophytes_per_year : tuple of float
-        Rate at which an osteophyte appears at a margin that has none, per year.
+        Rate at which an osteophyte appears at a margin without an osteophyte, per year.
     most_mm : float
         Largest size of an osteophyte, in mm.
     least_mm : float
         Smallest size of an osteophyte, in mm.
     plate : tuple of (float, float)
-        Thickening of the subchondral bone plate relative to a healthy one, per year.
+        Thickening of the subchondral bone plate relative to a healthy plate, per year.
     most_plate : float
         Largest relative thickness of the subchondral bone plate.
     notch_mm : tuple of (float, float)
@@ -64,7 +64,7 @@ class ProgressionRates(Record, frozen=True):
     most_notch_mm : float
         Largest growth into the notch, in mm.
     swelling_mm : tuple of (float, float)
-        Increase of capsule, synovium and fluid, in mm per year.
+        Increase of the thickness of capsule, synovium and fluid, in mm per year.
     most_swelling_mm : float
         Largest swelling, in mm.
     step : ProgressionThresholds

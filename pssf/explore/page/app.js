@@ -1,150 +1,182 @@
-// Entry point of the page: send every change of a parameter to the server, then update image, figures and 3D view.
+// Entry point of the page: send every parameter change to the server, then update image, exposure values and 3D view.
 
-import { fieldWords, find, options, words } from "./dom.js";
+import { showBusy } from "./busy.js";
+import { find, options, words } from "./dom.js";
 import { groups, items, shapes } from "./fields.js";
 import { Film } from "./film.js";
 import { listFiles, showLines } from "./files.js";
-import { drawMasks, drawOverlay, tellColours } from "./overlay.js";
+import { drawMasks, drawOverlay, showLegend } from "./overlay.js";
 import { showCursor, showFigures } from "./readout.js";
 import * as server from "./server.js";
-import { differingFields, Store } from "./state.js";
+import { differingLabels, Store } from "./state.js";
 
 const COARSE_PX = 512, MOST_NAMES = 4;
+const SIMULATING = "Simulating …", REFINING = "Preview: simulating full resolution …";
 export const film = new Film();
 export let store;
-let show, truth = null, path = null, busy = false, again = false, coarse = "", pictures = 0;
-let maskedAs = "", solidsAs = "", windowedAs = "", probing = 0;
+let showValues, truth = null, pathLengths = null, dragging = false, previewPending = false, imageCount = 0;
+// Keys of the parameters of the displayed image and of the latest image at full resolution; whether the last request
+// failed.
+let shownKey = "", fullResolutionKey = "", requestFailed = false;
+let masksKey = "", solidsKey = "", windowedProtocol = "", probeTimer = 0;
 
-const told = (text) => { find("#status").textContent = text; };
-function failed(error) {
+const showStatus = (text) => { find("#status").textContent = text; };
+function showError(error) {
   if (error instanceof server.Superseded) return;
-  told(film.present ? "The image shown is out of date." : "");
+  showStatus("");
   find("#error").hidden = false;
   find("#error").textContent = error.message;
 }
-const asked = (side) => ({ knee: store.now.knee, protocol: store.now.protocol, seed: store.now.seed, processing: store.now.processing, side });
-/** Key of the parameters that affect the 3D view, the masks and the labels. */
-const shapeOf = ({ knee, protocol }) => JSON.stringify([knee, ["projection", "flexion_deg", "tibia_forward_deg", "rotation_deg",
-  "tilt_deg", "beam_along", "beam_angle_deg", "sdd_mm", "sod_mm", "centre_x_mm", "centre_z_mm", "rows", "cols", "pixel_mm",
+const stateKey = (state) => JSON.stringify({ ...state, side: 0 });
+/** While the image does not match the parameters, show `text` over the image. */
+function updateBusy(text) {
+  const same = fullResolutionKey === stateKey(requestState(0));
+  if (same) showBusy("", false);
+  else if (requestFailed) showBusy("This image is out of date", false);
+  else showBusy(text, text !== "");
+}
+/** Return the state of the page for a request; `side` limits rows and columns of a preview, 0 for full resolution. */
+function requestState(side) {
+  const { knee, protocol, seed, processing } = store.now;
+  return { knee, protocol, seed, processing, side };
+}
+/** Return a key of the parameters that affect the 3D view, the masks and the labels. */
+const geometryKey = ({ knee, protocol }) => JSON.stringify([knee, ["projection", "flexion_deg", "tibia_forward_deg",
+  "rotation_deg", "tilt_deg", "beam_along", "beam_angle_deg", "sdd_mm", "sod_mm", "centre_x_mm", "centre_z_mm", "rows",
+  "cols", "pixel_mm",
 ].map((name) => protocol[name])]);
 
-/** Request and show one image. Return "whole" at full resolution, "coarse" for a preview, "" after an error. */
-async function picture(side) {
-  const began = performance.now(), state = asked(side), key = JSON.stringify({ ...state, side: 0 });
+/** Request and show one image. After a preview, show the text `next` over it. Return "whole" for full resolution,
+ *  "coarse" for a preview, "" after an error. */
+async function showImage(side, next) {
+  const began = performance.now(), state = requestState(side), key = stateKey(state);
   try {
     const made = await server.radiograph(state);
     find("#error").hidden = true;
     made.state = state;
-    path = null;
-    truth = made.header.truth ? { ...made.header.truth, ...made.header, shape: shapeOf(state) } : truth;
-    if (truth?.shape !== shapeOf(state)) truth = null;
+    pathLengths = null;
+    truth = made.header.truth ? { ...made.header.truth, ...made.header, geometry: geometryKey(state) } : truth;
+    if (truth?.geometry !== geometryKey(state)) truth = null;
     film.show(made);
-    tellCompared();
+    if (masksKey !== geometryKey(state)) showMasks(null, "");
+    describeComparison();
     showFigures(made, (performance.now() - began) / 1000);
-    coarse = key;
     const { rows, cols, whole } = made.header;
-    told(`${whole ? "Full resolution" : "Preview"}, ${rows} × ${cols}`);
-    // Tests wait for this attribute: number of images so far, and kind of the last one.
-    document.documentElement.dataset.picture = `${++pictures} ${whole ? "whole" : "coarse"}`;
-    showCursorNow();
+    [shownKey, fullResolutionKey, requestFailed] = [key, whole ? key : "", false];
+    updateBusy(key === stateKey(requestState(0)) ? next : SIMULATING);
+    showStatus(`${whole ? "Full resolution" : "Preview"}, ${rows} × ${cols} pixels`);
+    // Tests wait for this attribute: number of images so far, and resolution of the last image.
+    document.documentElement.dataset.picture = `${++imageCount} ${whole ? "whole" : "coarse"}`;
+    updateCursor();
     return whole ? "whole" : "coarse";
   } catch (error) {
-    failed(error);
+    if (!(error instanceof server.Superseded)) requestFailed = true;
+    showError(error);
+    updateBusy(SIMULATING);
     return "";
   }
 }
 
-/** While a slider is dragged: show one preview at a time, then a preview of the latest position. */
-async function drag() {
-  if (busy) { again = true; return; }
-  busy = true;
+/** While a slider is dragged: request one preview at a time, and finally a preview of the latest value. */
+async function showPreviews() {
+  if (dragging) { previewPending = true; return; }
+  dragging = true;
   do {
-    again = false;
-    await picture(COARSE_PX);
-  } while (again);
-  busy = false;
+    previewPending = false;
+    await showImage(COARSE_PX, "");
+  } while (previewPending);
+  dragging = false;
 }
 
-/** When a slider is released: show a preview unless it is shown already, then full resolution. */
-async function rest() {
-  again = false;
-  told("Simulating …");
-  if (coarse !== JSON.stringify(asked(0))) {
-    const shown = await picture(COARSE_PX);
+/** When a slider is released: show a preview unless it is already displayed, then full resolution. */
+async function refresh() {
+  previewPending = false;
+  if (shownKey !== stateKey(requestState(0))) {
+    const shown = await showImage(COARSE_PX, REFINING);
     if (shown !== "coarse") {
-      if (shown) settled();
+      if (shown) updateDependents();
       return;
     }
   }
-  if (await picture(0)) settled();
+  updateBusy(REFINING);
+  if (await showImage(0, "")) updateDependents();
 }
 
 /** After an image at full resolution: update masks, Python code and 3D view. */
-async function settled() {
-  const state = asked(0), shape = shapeOf(state);
+async function updateDependents() {
+  const state = requestState(0), geometry = geometryKey(state);
   try {
-    await masksOf(state, shape);
+    await updateMasks(state, geometry);
     showLines(await server.file({ ...state, kind: "py" }));
-    if (find("#solids-open").open && solidsAs !== shape) {
+    if (find("#solids-open").open && solidsKey !== geometry) {
       const frame = find("#solids-frame"), page = await server.solids(state);
       let hash = "";
       try { hash = frame.contentWindow.location.hash; } catch { /* The frame is not loaded yet. */ }
       frame.src = `${page}${hash}`;
-      solidsAs = shape;
+      solidsKey = geometry;
       document.documentElement.dataset.solids = page;
     }
-  } catch (error) { failed(error); }
+  } catch (error) { showError(error); }
 }
 
-async function masksOf(state, shape) {
-  const wanted = find("#show-masks").checked ? shape : "";
-  if (wanted === maskedAs) return;
-  if (wanted) told("Rendering masks …");
-  const names = drawMasks(film, wanted ? await server.masks(state) : null);
-  if (wanted) told("Masks are shown.");
-  tellColours(names);
+async function updateMasks(state, geometry) {
+  const wanted = find("#show-masks").checked ? geometry : "";
+  if (wanted === masksKey) return;
+  if (wanted) showBusy("Rendering masks …", true);
+  let masks = null;
+  try {
+    if (wanted) masks = await server.masks(state);
+  } finally { updateBusy(SIMULATING); }
+  showMasks(masks, wanted);
+}
+
+function showMasks(masks, geometry) {
+  const names = drawMasks(film, masks);
+  showLegend(names);
   document.documentElement.dataset.masks = names.join(" ");
-  maskedAs = wanted;
+  masksKey = geometry;
 }
 
-/** Describe how current and pinned image differ, and what the colours of the difference mean. */
-function tellCompared() {
+/** Describe how the current image differs from the pinned image, and explain the colours of the difference image. */
+function describeComparison() {
   if (!film.pinned) return;
-  const names = differingFields(film.present.state, film.pinned.state).map(fieldWords);
+  const names = differingLabels(film.present.state, film.pinned.state, store.listing);
   const more = names.length > MOST_NAMES ? ` and ${names.length - MOST_NAMES} more` : "";
   const what = names.length ? `The current image differs from the pinned one in ${names.slice(0, MOST_NAMES).join(", ")}${more}.`
     : "Both images have the same parameters.";
   find("#compared").textContent = film.differs ? `${what} Orange: current larger; blue: current smaller; dark: equal.` : what;
 }
 
-function showCursorNow() {
-  const place = showCursor(film, path);
+function updateCursor() {
+  const pixel = showCursor(film, pathLengths);
   drawOverlay(film, truth);
-  clearTimeout(probing);
-  if (!place || path) return;
-  probing = setTimeout(async () => {
+  clearTimeout(probeTimer);
+  if (!pixel || pathLengths) return;
+  probeTimer = setTimeout(async () => {
     const side = film.shown.state.side;
     try {
-      const found = await server.probe({ ...film.shown.state, side, row: place[0], col: place[1] });
+      const probed = await server.probe({ ...film.shown.state, side, row: pixel[0], col: pixel[1] });
       const now = film.cursor && film.pixelAt(film.cursor);
-      if (!found.path_mm || !now || now[0] !== place[0] || now[1] !== place[1]) return;
-      path = found.path_mm;
-      showCursor(film, path);
-    } catch (error) { failed(error); }
+      if (!probed.path_mm || !now || now[0] !== pixel[0] || now[1] !== pixel[1]) return;
+      pathLengths = probed.path_mm;
+      showCursor(film, pathLengths);
+    } catch (error) { showError(error); }
   }, 60);
 }
 
-function changed(whole) {
-  show();
-  // Another protocol has another signal range. Keeping the window could make the image all black or all white.
-  if (store.now.from !== windowedAs) film.anew = true;
-  windowedAs = store.now.from;
-  if (!whole) { drag(); return; }
+function handleChange(final) {
+  showValues();
+  requestFailed = false;
+  updateBusy(SIMULATING);
+  // The window is reset for a new protocol, because the signal range differs and the image could become black or white.
+  if (store.now.from !== windowedProtocol) film.needsAutoWindow = true;
+  windowedProtocol = store.now.from;
+  if (!final) { showPreviews(); return; }
   history.replaceState(null, "", store.link());
-  rest();
+  refresh();
 }
 
-function wire(listing) {
+function buildControls(listing) {
   const { knee } = listing, parts = [];
   const left = find("#knee");
   parts.push([groups(left, knee, "knee", store), (now) => now.knee]);
@@ -152,7 +184,7 @@ function wire(listing) {
     parts.push([items(left, name, listing.items[name], listing.most[name], store), (now) => now.knee[name]]);
   parts.push([shapes(left, listing.shape, store), (now) => now.knee.shape]);
   parts.push([groups(find("#exposure"), listing.protocol, "protocol", store), (now) => now.protocol]);
-  show = () => {
+  showValues = () => {
     parts.forEach(([part, of]) => part(of(store.now)));
     find("#protocol-name").value = store.now.from;
     find("#seed").value = store.now.seed;
@@ -160,6 +192,7 @@ function wire(listing) {
     find("#undo").disabled = !store.before.length;
     find("#redo").disabled = !store.after.length;
   };
+  options(find("#processing"), Object.entries(listing.processing));
   const named = (names) => names.map((name) => [name, words(name)]);
   options(find("#preset"), [["", "select …"], ...named(Object.keys(listing.presets))]);
   options(find("#protocol-name"), named(Object.keys(listing.protocols)));
@@ -184,60 +217,63 @@ function wire(listing) {
   find("#processing").onchange = ({ target }) => store.change({ processing: target.value }, true);
   find("#undo").onclick = () => store.undo();
   find("#redo").onclick = () => store.redo();
-  find("#reset").onclick = () => { film.anew = true; store.change(store.start(), true); };
+  find("#reset").onclick = () => { film.needsAutoWindow = true; store.change(store.start(), true); };
   find("#link").onclick = async () => {
     try {
       await navigator.clipboard.writeText(location.href);
-      told("Link copied. It holds all parameters and works while this server runs.");
-    } catch { told("Copy the link from the address bar."); }
+      showStatus("Link copied. The link contains all parameters and works while this server runs.");
+    } catch { showStatus("Copy the link from the address bar."); }
   };
   find("#draw").onclick = async () => {
     const seed = Math.floor(Math.random() * 2 ** 32);
     try {
       const wanted = { grade_table: find("#draw-table").value, grade: +find("#draw-grade").value, seed };
-      const knee = await server.draw(wanted);
-      film.anew = true;
+      const knee = await server.sampleKnee(wanted);
+      film.needsAutoWindow = true;
       store.change({ knee }, true);
-    } catch (error) { failed(error); }
+    } catch (error) { showError(error); }
   };
   find("#parameters").onsubmit = (event) => event.preventDefault();
 }
 
-function wireFilm() {
-  film.moved = () => drawOverlay(film, truth);
-  film.pointed = () => { path = null; showCursorNow(); };
+function connectFilm() {
+  film.onLayout = () => drawOverlay(film, truth);
+  film.onCursor = () => { pathLengths = null; updateCursor(); };
   find("#window").onchange = find("#level").onchange = () => film.window(+find("#window").value, +find("#level").value);
   find("#auto").onclick = () => film.auto();
-  find("#invert").onchange = () => film.paint();
+  find("#bone-bright").onchange = () => film.paint();
   find("#fit").onclick = () => film.fit();
   find("#zoom-in").onclick = () => film.zoomBy(1.25);
   find("#zoom-out").onclick = () => film.zoomBy(0.8);
   find("#show-landmarks").onchange = find("#show-spaces").onchange = () => drawOverlay(film, truth);
-  find("#show-masks").onchange = () => masksOf(asked(0), shapeOf(asked(0))).catch(failed);
+  find("#show-masks").onchange = () => updateMasks(requestState(0), geometryKey(requestState(0))).catch(showError);
   find("#pin").onclick = () => {
     film.pin();
     find("#compare").disabled = false;
-    tellCompared();
+    describeComparison();
   };
-  find("#compare").onchange = () => { film.paint(); tellCompared(); };
+  find("#compare").onchange = () => { film.paint(); describeComparison(); };
   find("#skip").onclick = () => film.viewport.focus();
-  find("#solids-open").ontoggle = () => { if (film.present?.header.whole) settled(); };
+  find("#solids-open").ontoggle = () => { if (film.present?.header.whole) updateDependents(); };
 }
 
 async function start() {
   const listing = await server.fields();
   store = new Store(listing);
   store.now = store.read(location.hash) ?? store.now;
-  wire(listing);
-  wireFilm();
-  listFiles((kind) => server.file({ ...asked(0), kind }), film, told, failed);
-  store.listeners.push(changed);
+  buildControls(listing);
+  connectFilm();
+  listFiles((kind) => server.file({ ...requestState(0), kind }), film, showStatus, showError);
+  store.listeners.push(handleChange);
   window.onhashchange = () => {
     const read = store.read(location.hash);
     if (read) store.change(read, true);
-    else failed(new Error("The link must hold parameters of this page, got something else"));
+    else showError(new Error("The link does not contain parameters of this page"));
   };
-  changed(true);
+  handleChange(true);
 }
 
-start().catch(failed);
+start().catch((error) => {
+  showBusy("", false);
+  showError(error);
+});

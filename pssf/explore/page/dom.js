@@ -13,16 +13,11 @@ export function make(parent, name, attributes = {}, text = "") {
   return parent.appendChild(node);
 }
 
-const SPOKEN = { jsw: "JSW", ap: "AP", bmi: "BMI", sdd: "SDD", sod: "SOD", kv: "kV", mas: "current-time product", insall: "Insall",
-  salvati: "Salvati", lyon: "Lyon", schuss: "Schuss", rosenberg: "Rosenberg",
-  gos: "GOS" };
+const SPOKEN = { jsw: "JSW", ap: "AP", pa: "PA", kv: "kV", mas: "mAs", lyon: "Lyon", schuss: "Schuss", rosenberg: "Rosenberg",
+  gos: "GOS", csi: "CsI", mtf: "MTF", monte: "Monte", carlo: "Carlo" };
 
 /** Convert an identifier to words, with the usual spelling of abbreviations and names. */
 export const words = (name) => name.split("_").map((word) => (Object.hasOwn(SPOKEN, word) ? SPOKEN[word] : word)).join(" ");
-
-/** Convert the name of a field to words without its unit, which is shown next to it. */
-export const fieldWords = (name) =>
-  (name === "tube_kv" ? "tube voltage" : words(name.replace(/_(mm|deg|kev|mm_al|years|px|per_cm)$/, "")));
 
 /** Fill a select with options, given as pairs of value and text. */
 export function options(select, pairs) {

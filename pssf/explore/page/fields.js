@@ -1,6 +1,6 @@
-// Controls of fields: a slider with a number box, a list or a text box, each with unit, range and description.
+// Controls for fields: slider with number box, list, or text box, each with unit, range and description.
 
-import { fieldWords, make, words } from "./dom.js";
+import { make, words } from "./dom.js";
 
 let count = 0;
 
@@ -9,42 +9,42 @@ const stepOf = ([low, high], whole) => {
   return whole ? Math.max(1, step) : step;
 };
 
-function heading(parent, field) {
+function addLabel(parent, field) {
   const id = `f${++count}`, label = make(parent, "label", { for: id });
   // The tooltip shows the name of the field in Python.
   label.title = field.name;
-  label.append(fieldWords(field.name));
+  label.append(field.label);
   if (field.unit) label.append(" "), make(label, "span", { class: "unit" }, field.unit);
   return id;
 }
 
-function hint(parent, field, id) {
+function addHint(parent, field, id) {
   const round = (value) => value.toLocaleString("en", { maximumFractionDigits: 6 });
-  // A browser would round such an integer, so the hint gives the number of digits instead of a range.
+  // A browser would round the limits of a text field, so the hint gives the number of digits instead of a range.
   const range = field.low === null ? ""
     : field.text ? "whole number, up to 19 digits" : `${round(field.low)} to ${round(field.high)}`;
-  const told = [field.what, range && `(${range})`].filter(Boolean).join(" ");
-  make(parent, "p", { class: "hint", id: `${id}h` }, told).title = field.source ?? "";
+  const text = [field.what, range && `(${range})`].filter(Boolean).join(" ");
+  make(parent, "p", { class: "hint", id: `${id}h` }, text).title = field.source ?? "";
 }
 
-function numeric(parent, field, id, told) {
+function makeNumberControl(parent, field, id, report) {
   const step = stepOf(field.slider, field.whole), described = { "aria-describedby": `${id}h` };
   const [low, high] = field.slider;
   const slider = make(parent, "input", { type: "range", min: low, max: high, step,
-    "aria-label": `${fieldWords(field.name)}, slider`, ...described });
+    "aria-label": `${field.label}, slider`, ...described });
   const box = make(parent, "input", { type: "number", id, min: field.low, max: field.high, step: field.whole ? 1 : "any",
     ...described });
   let open = null;
   if (field.optional) {
     const label = make(parent, "label", { class: "open" });
-    open = make(label, "input", { type: "checkbox", "aria-label": `specify ${fieldWords(field.name)}` });
+    open = make(label, "input", { type: "checkbox", "aria-label": `specify ${field.label}` });
     label.append("specify");
-    open.onchange = () => told(open.checked ? +slider.value : null, true);
+    open.onchange = () => report(open.checked ? +slider.value : null, true);
   }
-  slider.oninput = () => { box.value = slider.value; told(+slider.value, false); };
-  slider.onchange = () => told(+slider.value, true);
+  slider.oninput = () => { box.value = slider.value; report(+slider.value, false); };
+  slider.onchange = () => report(+slider.value, true);
   box.onchange = () => {
-    if (box.value !== "" && box.validity.valid) told(+box.value, true);
+    if (box.value !== "" && box.validity.valid) report(+box.value, true);
     else box.reportValidity();
   };
   return (value) => {
@@ -56,66 +56,67 @@ function numeric(parent, field, id, told) {
   };
 }
 
-function chosen(parent, field, id, told) {
+function makeChoiceControl(parent, field, id, report) {
   const select = make(parent, "select", { id, "aria-describedby": `${id}h` });
   const pairs = field.choices.map((value) => [JSON.stringify(value), words(String(value))]);
   for (const [value, text] of field.optional ? [["null", "none"], ...pairs] : pairs) make(select, "option", { value }, text);
-  select.onchange = () => told(JSON.parse(select.value), true);
+  select.onchange = () => report(JSON.parse(select.value), true);
   return (value) => { select.value = JSON.stringify(value); };
 }
 
-function written(parent, field, id, told) {
+function makeTextControl(parent, field, id, report) {
   const pattern = field.named ? "[\\w\\-]{1,64}" : "[0-9]{1,19}";
   const box = make(parent, "input", { type: "text", id, pattern, "aria-describedby": `${id}h`, required: true });
-  box.onchange = () => { if (box.validity.valid) told(box.value, true); else box.reportValidity(); };
+  box.onchange = () => { if (box.validity.valid) report(box.value, true); else box.reportValidity(); };
   return (value) => { box.value = value; };
 }
 
-/** Create a control that calls `told(value, whole)` on a change. Return a function that shows a value. */
-export function control(parent, field, told) {
-  const box = make(parent, "div", { class: "field", "data-field": field.name }), id = heading(box, field);
-  const kind = field.choices ? chosen : field.named || field.text ? written : numeric;
-  const show = kind(box, field, id, told);
-  hint(box, field, id);
+/** Create a control that calls `report(value, final)` on a change; `final` is false while a slider is dragged. Return a
+ *  function that shows a value. */
+export function control(parent, field, report) {
+  const box = make(parent, "div", { class: "field", "data-field": field.name }), id = addLabel(box, field);
+  const kind = field.choices ? makeChoiceControl : field.named || field.text ? makeTextControl : makeNumberControl;
+  const show = kind(box, field, id, report);
+  addHint(box, field, id);
   return show;
 }
 
-/** Create groups of fields of "knee" or "protocol". Return a function that shows all values. */
+/** Create groups of controls for the fields of "knee" or "protocol". Return a function that shows all values. */
 export function groups(parent, listed, kind, store) {
   const shows = [];
-  listed.forEach(({ title, fields }, place) => {
-    const box = make(parent, "details", { class: "group", open: place === 0, "data-group": `${kind} ${title}` });
+  listed.forEach(({ title, fields }, index) => {
+    const box = make(parent, "details", { class: "group", open: index === 0, "data-group": `${kind} ${title}` });
     make(box, "summary", {}, title);
     for (const field of fields) {
-      const show = control(box, field, (value, whole) => store.part(kind, field.name, value, whole));
+      const show = control(box, field, (value, final) => store.setField(kind, field.name, value, final));
       shows.push((values) => show(values[field.name]));
     }
   });
   return (values) => shows.forEach((show) => show(values));
 }
 
-/** Create controls for the scores of the bone shape model. */
+/** Create controls for the mode scores of the bone shape model. Return a function that shows all scores. */
 export function shapes(parent, modes, store) {
   const box = make(parent, "details", { class: "group", "data-group": "knee Shape" });
-  make(box, "summary", {}, "Shape scores");
-  const shows = modes.map((mode, place) => {
-    const field = { name: `shape_${place}`, what: mode.also && `correlates with: ${mode.also}`, unit: "SD",
+  make(box, "summary", {}, "Bone shape scores");
+  const shows = modes.map((mode, index) => {
+    const field = { name: mode.name, label: mode.name, what: mode.also && `correlates with: ${mode.also}`, unit: "SD",
       low: mode.low, high: mode.high, slider: [mode.low, mode.high], whole: false, choices: null };
-    return control(box, { ...field, name: mode.name }, (value, whole) => {
+    return control(box, field, (value, final) => {
       const scores = modes.map((_, k) => store.now.knee.shape[k] ?? 0);
-      scores[place] = value;
-      store.part("knee", "shape", scores, whole);
+      scores[index] = value;
+      store.setField("knee", "shape", scores, final);
     });
   });
-  return (scores) => shows.forEach((show, place) => show(scores[place] ?? 0));
+  return (scores) => shows.forEach((show, index) => show(scores[index] ?? 0));
 }
 
-/** Create a list of osteophytes or cysts, each with its fields. */
+/** Create a list of osteophytes or cysts with controls for their fields. Return a function that shows all items. */
 export function items(parent, name, fields, most, store) {
   const box = make(parent, "details", { class: "group", "data-group": `knee ${name}` });
   const title = make(box, "summary"), list = make(box, "div");
   const add = make(box, "button", { type: "button" }, `Add to ${name}`);
-  const change = (given, whole) => store.part("knee", name, given, whole);
+  const change = (given, final) => store.setField("knee", name, given, final);
   add.onclick = () => {
     const given = store.now.knee[name], start = Object.fromEntries(fields.map((field) => [field.name, field.start]));
     const free = fields[0].choices.find((site) => !given.some((one) => one.site === site));
@@ -125,19 +126,19 @@ export function items(parent, name, fields, most, store) {
   return (given) => {
     title.textContent = `${name[0].toUpperCase()}${name.slice(1)} (${given.length})`;
     add.disabled = given.length >= most;
-    // Create the controls again only if their number has changed. Otherwise a dragged slider would disappear.
+    // Controls are created again only if the number of items has changed. Otherwise a dragged slider would disappear.
     if (shown !== given.length) {
       list.textContent = "";
-      shows = given.map((_, place) => {
-        const one = make(list, "div", { class: "item", role: "group", "aria-label": `${name} ${place + 1}` });
-        const parts = fields.map((field) => control(one, field, (value, whole) =>
-          change(store.now.knee[name].map((old, k) => (k === place ? { ...old, [field.name]: value } : old)), whole)));
+      shows = given.map((_, index) => {
+        const one = make(list, "div", { class: "item", role: "group", "aria-label": `${name} ${index + 1}` });
+        const parts = fields.map((field) => control(one, field, (value, final) =>
+          change(store.now.knee[name].map((old, k) => (k === index ? { ...old, [field.name]: value } : old)), final)));
         const remove = make(one, "button", { type: "button" }, "Remove");
-        remove.onclick = () => change(store.now.knee[name].filter((_, k) => k !== place), true);
+        remove.onclick = () => change(store.now.knee[name].filter((_, k) => k !== index), true);
         return (values) => parts.forEach((part, k) => part(values[fields[k].name]));
       });
       shown = given.length;
     }
-    shows.forEach((show, place) => show(given[place]));
+    shows.forEach((show, index) => show(given[index]));
   };
 }

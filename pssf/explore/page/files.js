@@ -1,4 +1,4 @@
-// Export: files of the current image and knee, and Python code that reproduces the image.
+// Export: download files of the current image and knee, and show Python code that reproduces the image.
 
 import { find, make } from "./dom.js";
 
@@ -6,36 +6,36 @@ const KINDS = [["tif", "TIFF, 16 bit"], ["dcm", "DICOM, for processing"], ["pres
   ["png", "PNG"], ["json", "Parameters, JSON"], ["stl", "STL"], ["ply", "PLY"], ["glb", "GLB"], ["3mf", "3MF"],
   ["knee.toml", "Knee, TOML"], ["protocol.toml", "Protocol, TOML"], ["py", "Python"]];
 
-const sized = (bytes) => (bytes < 1e6 ? `${(bytes / 1e3).toFixed(1)} kB` : `${(bytes / 1e6).toFixed(1)} MB`);
+const formatSize = (bytes) => (bytes < 1e6 ? `${(bytes / 1e3).toFixed(1)} kB` : `${(bytes / 1e6).toFixed(1)} MB`);
 
-function handed(name, blob) {
+function download(name, blob) {
   const link = make(document.body, "a", { href: URL.createObjectURL(blob), download: name });
   link.click();
   link.remove();
   setTimeout(() => URL.revokeObjectURL(link.href), 10000);
 }
 
-export function listFiles(asked, film, told, failed) {
+export function listFiles(requestFile, film, showStatus, showError) {
   for (const [kind, text] of KINDS) {
     const button = make(find("#files"), "button", { type: "button", "data-kind": kind }, text);
     button.onclick = async () => {
       button.disabled = true;
-      told(`Writing ${text} …`);
+      showStatus(`Writing ${text} …`);
       try {
-        const { name, blob } = await asked(kind);
-        handed(name, blob);
-        told(`${name} saved, ${sized(blob.size)}.`);
-      } catch (error) { failed(error); } finally { button.disabled = false; }
+        const { name, blob } = await requestFile(kind);
+        download(name, blob);
+        showStatus(`${name} saved, ${formatSize(blob.size)}.`);
+      } catch (error) { showError(error); } finally { button.disabled = false; }
     };
   }
   const view = make(find("#files"), "button", { type: "button", "data-kind": "view" }, "Current view, PNG");
   view.onclick = () => film.canvas.toBlob((blob) => {
-    handed("view.png", blob);
-    told(`view.png saved, ${sized(blob.size)}.`);
+    download("view.png", blob);
+    showStatus(`view.png saved, ${formatSize(blob.size)}.`);
   });
   find("#copy-lines").onclick = async () => {
     await navigator.clipboard.writeText(find("#lines").textContent);
-    told("Code copied.");
+    showStatus("Code copied.");
   };
 }
 

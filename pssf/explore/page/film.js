@@ -1,8 +1,8 @@
-// Display of the radiograph: window and level, zoom and pan, cursor, distance. Positions are fractions of its width and
-// height.
+// Display of the radiograph: window and level, zoom and pan, cursor, distance. Positions are fractions of image width
+// and height.
 
 import { find } from "./dom.js";
-import { automatic, differences, greys, histogram, painted, reduced, subtract } from "./pixels.js";
+import { boneWindow, differenceTable, greyTable, histogram, applyTable, subsample, subtract } from "./pixels.js";
 
 const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
 
@@ -12,19 +12,22 @@ export class Film {
     this.viewport = find("#viewport");
     this.present = this.pinned = null;
     this.width = this.level = null;
-    // Whether the next images get an automatic window, until the first one at full resolution.
-    this.anew = false;
+    // Whether new images get an automatic window; it becomes false after the first image at full resolution.
+    this.needsAutoWindow = false;
     this.zoom = 1;
     this.middle = [0.5, 0.5];
     this.cursor = null;
     this.measured = [];
-    this.moved = () => {};
-    this.pointed = () => {};
+    this.onLayout = () => {};
+    this.onCursor = () => {};
     this.listen();
-    new ResizeObserver(() => this.place()).observe(this.viewport);
+    new ResizeObserver(() => this.updateLayout()).observe(this.viewport);
+    // The histogram is drawn again in the colours of the page if the colour scheme changes.
+    this.darkMode = matchMedia("(prefers-color-scheme: dark)");
+    this.darkMode.onchange = () => { if (this.shown) this.drawHistogram(this.shown.pixels); };
   }
 
-  /** Image that is displayed: the pinned one if it is selected, else the current one. */
+  /** Displayed image: the pinned image if it is selected, else the current image. */
   get shown() {
     const which = find("#compare").value;
     if (which === "a" && this.pinned) return this.pinned;
@@ -34,23 +37,21 @@ export class Film {
   get differs() { return find("#compare").value === "difference" && this.pinned !== null; }
 
   show(picture) {
-    const turned = this.present && this.present.header.processing !== picture.header.processing;
+    const processingChanged = this.present && this.present.header.processing !== picture.header.processing;
     this.present = picture;
     const first = this.width === null;
-    if (turned || first) this.auto(true);
-    else if (this.anew) this.auto();
+    if (processingChanged || first || this.needsAutoWindow) this.auto();
     else this.paint();
-    if (picture.header.whole) this.anew = false;
+    if (picture.header.whole) this.needsAutoWindow = false;
   }
 
   pin() { this.pinned = this.present; }
 
-  auto(turned = false) {
+  auto() {
     const picture = this.shown;
     if (!picture) return;
-    // The linear signal is low behind bone. Display processing already makes bone bright.
-    if (turned) find("#invert").checked = picture.header.processing === "linear";
-    const { width, level } = picture.header.processing === "linear" ? automatic(picture.pixels) : { width: 65535, level: 32768 };
+    const isLinear = picture.header.processing === "linear";
+    const { width, level } = isLinear ? boneWindow(picture.pixels) : { width: 65535, level: 32768 };
     this.window(width, level);
   }
 
@@ -65,13 +66,15 @@ export class Film {
     const picture = this.shown;
     if (!picture) return;
     const { rows, cols } = picture.header;
-    const table = this.differs ? differences(this.width) : greys(this.width, this.level, find("#invert").checked);
-    const pixels = this.differs ? subtract(picture.pixels, reduced(this.pinned, rows, cols)) : picture.pixels;
+    // Linear images must be inverted for bright bone. After display processing, bone is already bright.
+    const invert = find("#bone-bright").checked === (picture.header.processing === "linear");
+    const table = this.differs ? differenceTable(this.width) : greyTable(this.width, this.level, invert);
+    const pixels = this.differs ? subtract(picture.pixels, subsample(this.pinned, rows, cols)) : picture.pixels;
     if (this.canvas.width !== cols || this.canvas.height !== rows) [this.canvas.width, this.canvas.height] = [cols, rows];
     const context = this.canvas.getContext("2d");
     if (this.image?.width !== cols || this.image?.height !== rows) this.image = context.createImageData(cols, rows);
-    context.putImageData(painted(pixels, table, this.image), 0, 0);
-    this.place();
+    context.putImageData(applyTable(pixels, table, this.image), 0, 0);
+    this.updateLayout();
     this.drawHistogram(picture.pixels);
   }
 
@@ -82,7 +85,7 @@ export class Film {
     return { scale, size, left: wide / 2 - this.middle[0] * size[0], top: high / 2 - this.middle[1] * size[1] };
   }
 
-  place() {
+  updateLayout() {
     if (!this.shown) return;
     const { scale, left, top } = this.box;
     for (const canvas of this.viewport.querySelectorAll("canvas")) {
@@ -90,53 +93,53 @@ export class Film {
       canvas.style.transform = `translate(${left}px, ${top}px) scale(${own})`;
       canvas.style.imageRendering = own >= 2 ? "pixelated" : "auto";
     }
-    this.moved();
+    this.onLayout();
   }
 
   /** Convert fractions of width and height to a position in the viewport, in CSS pixels. */
-  at([x, y]) {
+  toViewport([x, y]) {
     const { size, left, top } = this.box;
     return [left + x * size[0], top + y * size[1]];
   }
 
-  from(event) {
+  toImage(event) {
     const own = this.viewport.getBoundingClientRect(), { size, left, top } = this.box;
     return [(event.clientX - own.left - left) / size[0], (event.clientY - own.top - top) / size[1]];
   }
 
-  /** Row and column of the pixel at a position; null outside the image. */
+  /** Return row and column of the pixel at a position; null outside the image. */
   pixelAt([x, y]) {
     const { rows, cols } = this.shown.header, row = Math.floor(y * rows), col = Math.floor(x * cols);
     return row >= 0 && row < rows && col >= 0 && col < cols ? [row, col] : null;
   }
 
-  /** Value of the pinned image at a position. */
+  /** Return the value of the pinned image at a position. */
   pinnedAt([x, y]) {
     const { rows, cols } = this.pinned.header;
     return this.pinned.pixels[Math.floor(y * rows) * cols + Math.floor(x * cols)];
   }
 
-  point(place) {
-    this.cursor = place;
-    this.pointed();
-    this.moved();
+  point(position) {
+    this.cursor = position;
+    this.onCursor();
+    this.onLayout();
   }
 
   zoomBy(factor, about = this.middle) {
     const zoom = clamp(this.zoom * factor, 0.5, 40), share = 1 - this.zoom / zoom;
     this.middle = this.middle.map((value, k) => value + (about[k] - value) * share);
     this.zoom = zoom;
-    this.place();
+    this.updateLayout();
   }
 
   fit() {
     [this.zoom, this.middle] = [1, [0.5, 0.5]];
-    this.place();
+    this.updateLayout();
   }
 
-  measure(place) {
-    this.measured = this.measured.length === 1 ? [this.measured[0], place] : [place];
-    this.point(place);
+  measure(position) {
+    this.measured = this.measured.length === 1 ? [this.measured[0], position] : [position];
+    this.point(position);
   }
 
   /** Measured distance in the joint plane, in mm; null if there is none. */
@@ -155,6 +158,7 @@ export class Film {
     context.fillStyle = style.getPropertyValue("--accent");
     context.fillRect(low, 0, high - low, height);
     context.globalAlpha = 1;
+    for (const edge of [low, high]) context.fillRect(Math.min(width - 2, Math.max(0, edge - 1)), 0, 2, height);
     context.fillStyle = style.color;
     counts.forEach((value, k) => {
       const tall = (height * Math.log1p(value)) / most;
@@ -172,34 +176,34 @@ export class Film {
       viewport.setPointerCapture(event.pointerId);
       before = [event.clientX, event.clientY];
       tool = event.shiftKey || event.button === 1 ? "pan" : find("#tool").value;
-      if (tool === "measure") this.measured = [this.from(event)];
+      if (tool === "measure") this.measured = [this.toImage(event)];
     };
     viewport.onpointermove = (event) => {
       if (!this.shown) return;
-      if (!before) return this.point(this.from(event));
+      if (!before) return this.point(this.toImage(event));
       const [dx, dy] = [event.clientX - before[0], event.clientY - before[1]];
       before = [event.clientX, event.clientY];
       const { size } = this.box;
       if (tool === "pan") {
         this.middle = [this.middle[0] - dx / size[0], this.middle[1] - dy / size[1]];
-        this.place();
+        this.updateLayout();
       } else if (tool === "window") {
         const step = Math.max(1, this.width / 300);
         this.window(this.width + dx * step, this.level + dy * step);
       } else {
-        this.measured = [this.measured[0], this.from(event)];
-        this.moved();
+        this.measured = [this.measured[0], this.toImage(event)];
+        this.onLayout();
       }
     };
     viewport.onpointerup = viewport.onpointercancel = (event) => {
-      if (before && tool === "measure" && this.shown) this.point(this.from(event));
+      if (before && tool === "measure" && this.shown) this.point(this.toImage(event));
       before = null;
     };
     viewport.onpointerleave = () => { if (!before) this.point(null); };
     viewport.addEventListener("wheel", (event) => {
       if (!this.shown) return;
       event.preventDefault();
-      this.zoomBy(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0015)), this.from(event));
+      this.zoomBy(Math.exp(-event.deltaY * (event.deltaMode ? 0.05 : 0.0015)), this.toImage(event));
     }, { passive: false });
     viewport.onkeydown = (event) => this.key(event);
   }

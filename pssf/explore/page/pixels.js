@@ -1,7 +1,7 @@
 // Functions on pixel arrays: window and level, histogram, differences.
 
-/** Return the grey level of each of 65536 values as RGBA in a Uint32: black below the window, white above it. */
-export function greys(width, level, invert) {
+/** Return a table of the grey level of each 16-bit value, as RGBA in a Uint32: black below the window, white above. */
+export function greyTable(width, level, invert) {
   const table = new Uint32Array(65536), low = level - width / 2;
   for (let value = 0; value < 65536; value++) {
     const share = Math.min(1, Math.max(0, (value - low) / width));
@@ -11,8 +11,8 @@ export function greys(width, level, invert) {
   return table;
 }
 
-/** Return the colour of each difference: blue if negative, orange if positive. The index is 32768 + difference. */
-export function differences(width) {
+/** Return a table of the colour of each difference, blue if negative, orange if positive; index 32768 + difference. */
+export function differenceTable(width) {
   const table = new Uint32Array(65536);
   for (let k = 0; k < 65536; k++) {
     const share = Math.max(-1, Math.min(1, (k - 32768) / (width / 2))), far = Math.abs(share);
@@ -30,8 +30,8 @@ export function subtract(b, a) {
   return out;
 }
 
-/** Subsample an image to the size of a preview. */
-export function reduced({ header, pixels }, rows, cols) {
+/** Subsample an image to a number of rows and columns. */
+export function subsample({ header, pixels }, rows, cols) {
   if (header.rows === rows && header.cols === cols) return pixels;
   const out = new Uint16Array(rows * cols), down = header.rows / rows, across = header.cols / cols;
   for (let row = 0, k = 0; row < rows; row++) {
@@ -47,7 +47,7 @@ export function histogram(pixels, bins) {
   return counts;
 }
 
-/** Return a quantile of a histogram with 65536 bins, of the values below `most`. */
+/** Return a quantile of the values below `most`, from a histogram with 65536 bins. */
 function quantile(counts, share, most = 65536) {
   const wanted = share * counts.subarray(0, most).reduce((sum, value) => sum + value, 0);
   let sum = 0;
@@ -55,16 +55,16 @@ function quantile(counts, share, most = 65536) {
   return 65535;
 }
 
-/** Return width and level of a window for bone in a linear image. It uses only values below half of the open beam. With
- *  the wide range of soft tissue, bone would be uniformly white. */
-export function automatic(pixels) {
+/** Return width and level of a window for bone in a linear image. The window covers only values below half of the open
+ *  beam, because bone would be uniformly white with the wide range of soft tissue. */
+export function boneWindow(pixels) {
   const counts = histogram(pixels, 65536), open = Math.max(2, Math.round(quantile(counts, 0.999) / 2));
   const low = quantile(counts, 0.005, open), high = quantile(counts, 0.6, open);
   return { width: Math.max(1, high - low), level: Math.round((low + high) / 2) };
 }
 
-/** Convert pixels to RGBA by a colour table. */
-export function painted(pixels, table, image) {
+/** Convert pixels to RGBA by a colour table, and write them into `image`. */
+export function applyTable(pixels, table, image) {
   const out = new Uint32Array(image.data.buffer);
   for (let k = 0; k < out.length; k++) out[k] = table[pixels[k]];
   return image;

@@ -1,22 +1,22 @@
-// Readout: values under the cursor, and tables of exposure, rays, computing time and labels.
+// Readout: values under the cursor, and tables of exposure, ray casting, computing time and labels.
 
 import { find, table, words } from "./dom.js";
 
 const number = (value, digits) => (value === null || value === undefined ? "not available" : value.toFixed(digits));
 
 /** Show the values under the cursor, with path lengths per material in mm if available. */
-export function showCursor(film, path) {
+export function showCursor(film, pathLengths) {
   const box = find("#cursor");
-  const place = film.cursor && film.shown ? film.pixelAt(film.cursor) : null;
-  if (!place) { box.textContent = ""; return null; }
-  const { cols, processing } = film.shown.header, [row, col] = place, value = film.shown.pixels[row * cols + col];
+  const pixel = film.cursor && film.shown ? film.pixelAt(film.cursor) : null;
+  if (!pixel) { box.textContent = ""; return null; }
+  const { cols, processing } = film.shown.header, [row, col] = pixel, value = film.shown.pixels[row * cols + col];
   const parts = [`Row ${row}, column ${col}: ${value}${processing === "linear" ? "" : ` (${processing})`}`];
   if (film.differs) parts[0] += `, pinned ${film.pinnedAt(film.cursor)}`;
   if (film.measuredMm !== null) parts.push(`distance ${film.measuredMm.toFixed(2)} mm`);
-  const along = Object.entries(path ?? {}).map(([name, mm]) => `${words(name)} ${mm.toFixed(2)} mm`);
-  if (path) parts.push(along.join(", ") || "air only");
+  const along = Object.entries(pathLengths ?? {}).map(([name, mm]) => `${words(name)} ${mm.toFixed(2)} mm`);
+  if (pathLengths) parts.push(along.join(", ") || "air only");
   box.textContent = parts.join("; ");
-  return place;
+  return pixel;
 }
 
 export function showFigures({ header }, roundTripS) {
@@ -30,8 +30,8 @@ export function showFigures({ header }, roundTripS) {
     ["mm per pixel in the joint plane", number(header.joint_mm_per_px, 4)],
     ["beam angle, deg", number(header.beam_angle_deg, 2)],
   ]);
-  table(box, "Rays", [
-    ["cast for this image", header.rays_traced.toLocaleString("en")],
+  table(box, "Ray casting", [
+    ["rays cast for this image", header.rays_traced.toLocaleString("en")],
     ...Object.entries(audit).map(([name, count]) => [name, count.toLocaleString("en")]),
   ]);
   table(box, "Computing time, s", [

@@ -1,12 +1,12 @@
-// Requests to the server of the page. All addresses are relative and therefore contain the token.
+// Requests to the server of the page. Addresses are relative to the page, so they contain the token.
 
 const tab = Array.from(crypto.getRandomValues(new Uint8Array(12)), (byte) => byte.toString(16).padStart(2, "0")).join("");
 const running = new Map();
 
-/** A newer request has superseded this one; this is not a failure. */
+/** Error of a request that a newer request has superseded, which is not a failure. */
 export class Superseded extends Error {}
 
-async function sent(address, body, signal) {
+async function send(address, body, signal) {
   let answer;
   try {
     answer = await fetch(address, {
@@ -17,19 +17,19 @@ async function sent(address, body, signal) {
   }
   if (answer.ok) return answer;
   if (answer.status === 409) throw new Superseded();
-  const told = await answer.json().catch(() => ({ error: `status ${answer.status}` }));
-  throw new Error(told.error);
+  const reply = await answer.json().catch(() => ({ error: `status ${answer.status}` }));
+  throw new Error(reply.error);
 }
 
-/** Send a request and abort the previous one of the same kind, even if part of its answer has arrived. */
+/** Send a request, and abort the previous request of the same kind, even if its answer has partly arrived. */
 async function latest(kind, address, body, read) {
   running.get(kind)?.abort();
   const control = new AbortController(), { signal } = control;
   running.set(kind, control);
   try {
-    const found = await read(await sent(address, { tab, ...body }, signal));
+    const result = await read(await send(address, { tab, ...body }, signal));
     signal.throwIfAborted();
-    return found;
+    return result;
   } catch (error) {
     throw signal.aborted ? new Superseded() : error;
   } finally {
@@ -37,7 +37,7 @@ async function latest(kind, address, body, read) {
   }
 }
 
-async function unpacked(answer) {
+async function unpack(answer) {
   const bytes = await answer.arrayBuffer();
   const length = new DataView(bytes).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, length)));
@@ -46,30 +46,30 @@ async function unpacked(answer) {
 
 /** Request the radiograph of a state: header and pixels (Uint16Array, row by row). */
 export async function radiograph(state) {
-  const { header, content } = await latest("radiograph", "answer/radiograph", state, unpacked);
-  // The bytes are little-endian, like all machines with current browsers.
+  const { header, content } = await latest("radiograph", "answer/radiograph", state, unpack);
+  // The bytes are little-endian, which is the byte order of all machines with current browsers.
   return { header, pixels: new Uint16Array(content) };
 }
 
 export async function masks(state) {
-  const { header, content } = await latest("masks", "answer/masks", state, unpacked);
+  const { header, content } = await latest("masks", "answer/masks", state, unpack);
   return { ...header, bits: new Uint8Array(content) };
 }
 
 export async function probe(state) {
-  return (await latest("probe", "answer/probe", state, unpacked)).header;
+  return (await latest("probe", "answer/probe", state, unpack)).header;
 }
 
 export async function solids(state) {
   return (await latest("solids", "solids", state, (answer) => answer.json())).page;
 }
 
-export async function draw(wanted) {
-  return (await sent("draw", wanted)).json();
+export async function sampleKnee(request) {
+  return (await send("draw", request)).json();
 }
 
 export async function file(state) {
-  const answer = await sent("file", { tab, ...state });
+  const answer = await send("file", { tab, ...state });
   const named = /filename="([^"]+)"/.exec(answer.headers.get("Content-Disposition") ?? "");
   return { name: named?.[1] ?? "pssf", blob: await answer.blob() };
 }

@@ -1,17 +1,21 @@
-// State of the page: knee, protocol, noise seed and display processing, with undo, redo and a link that stores it.
+// State of the page: knee, protocol, noise seed and display processing; undo, redo, and a link with the state.
+
+import { words } from "./dom.js";
 
 const DEPTH = 200;
 
-/** Return the entries that differ from those of another table. */
+/** Return the entries of `values` that differ from the entries of `from`. */
 function differing(values, from) {
   return Object.fromEntries(Object.entries(values).filter(([name, value]) =>
     JSON.stringify(value) !== JSON.stringify(from[name])));
 }
 
-/** Return the names of the fields in which two states differ. */
-export function differingFields(one, other) {
-  const parts = ["knee", "protocol"].flatMap((part) => Object.keys(differing(one[part], other[part])));
-  return [...parts, ...["seed", "processing"].filter((name) => one[name] !== other[name])];
+/** Return the labels of the fields in which two states differ. */
+export function differingLabels(one, other, listing) {
+  const parts = ["knee", "protocol"].flatMap((part) => Object.keys(differing(one[part], other[part])).map((name) =>
+    listing[part].flatMap((group) => group.fields).find((field) => field.name === name)?.label ?? words(name)));
+  const others = { seed: "noise seed", processing: "display processing" };
+  return [...parts, ...Object.keys(others).filter((name) => one[name] !== other[name]).map((name) => others[name])];
 }
 
 export class Store {
@@ -26,26 +30,26 @@ export class Store {
   start() {
     const { default: first, protocols } = this.listing;
     return { knee: structuredClone(first.knee), protocol: structuredClone(protocols[first.protocol]), from: first.protocol,
-      seed: 0, processing: "linear" };
+      seed: 0, processing: first.processing };
   }
 
-  /** Apply a change. If `whole` is true the slider is released, and the change becomes one step of undo. */
-  change(changes, whole) {
+  /** Apply a change. `final` is false while a slider is dragged. A final change becomes one step of undo. */
+  change(changes, final) {
     const next = { ...this.now, ...changes };
-    if (whole) {
-      const was = this.held ?? this.now;
-      this.held = null;
-      if (JSON.stringify(was) !== JSON.stringify(next)) {
-        this.before = [...this.before, was].slice(-DEPTH);
+    if (final) {
+      const previous = this.beforeDrag ?? this.now;
+      this.beforeDrag = null;
+      if (JSON.stringify(previous) !== JSON.stringify(next)) {
+        this.before = [...this.before, previous].slice(-DEPTH);
         this.after = [];
       }
-    } else this.held ??= this.now;
+    } else this.beforeDrag ??= this.now;
     this.now = next;
-    this.listeners.forEach((listener) => listener(whole));
+    this.listeners.forEach((listener) => listener(final));
   }
 
-  part(kind, name, value, whole) {
-    this.change({ [kind]: { ...this.now[kind], [name]: value } }, whole);
+  setField(kind, name, value, final) {
+    this.change({ [kind]: { ...this.now[kind], [name]: value } }, final);
   }
 
   undo() { this.step("before", "after"); }
@@ -79,6 +83,6 @@ export class Store {
     return { from: content.from, knee: { ...first.knee, ...known(content.knee, first.knee) },
       protocol: { ...protocol, ...known(content.protocol, protocol) },
       seed: Number.isSafeInteger(content.seed) && content.seed >= 0 ? content.seed : 0,
-      processing: ["linear", "processed", "film"].includes(content.processing) ? content.processing : "linear" };
+      processing: Object.hasOwn(this.listing.processing, content.processing ?? "") ? content.processing : first.processing };
   }
 }

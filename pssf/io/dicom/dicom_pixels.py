@@ -1,4 +1,4 @@
-"""Pixel data of DICOM objects: empty attributes, padding and compressed transfer syntaxes."""
+"""Decode pixel data of DICOM objects; handle empty attributes, padding and compressed transfer syntaxes."""
 
 from pathlib import Path
 from typing import Any
@@ -14,10 +14,10 @@ _DECODER_HINT = "install decoders of JPEG, JPEG-LS and JPEG 2000 with pip instal
 
 
 def remove_empty_attributes(item: FileDataset) -> FileDataset:
-    """Remove attributes without a value, which DICOM allows but pydicom treats as an error.
+    """Remove attributes without a value, which DICOM allows and pydicom rejects.
 
-    An empty VOI LUT function means LINEAR (PS3.3, C.11.2.1.3). Of rescale slope and intercept a missing one is set to 1
-    or 0. A look-up table without descriptor or data is removed.
+    An empty VOI LUT function means LINEAR (PS3.3, C.11.2.1.3). A missing rescale slope is set to 1 if there is an
+    intercept, and a missing intercept to 0 if there is a slope. A look-up table without descriptor or data is removed.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def remove_empty_attributes(item: FileDataset) -> FileDataset:
     Returns
     -------
     pydicom.dataset.FileDataset
-        The same object.
+        The object `item`, after the change.
     """
     for name in ("ModalityLUTSequence", "VOILUTSequence"):
         if name in item:
@@ -48,24 +48,24 @@ def remove_empty_attributes(item: FileDataset) -> FileDataset:
 
 
 def prepare_for_display(item: FileDataset, path: Path) -> FileDataset:
-    """Remove empty attributes, and check the window of an object that is to be displayed.
+    """Remove empty attributes, and check the VOI window, before an object is displayed.
 
     Parameters
     ----------
     item : pydicom.dataset.FileDataset
         DICOM object, which is changed in place.
     path : Path
-        File to name in the message.
+        Path shown in error messages.
 
     Returns
     -------
     pydicom.dataset.FileDataset
-        The same object.
+        The object `item`, after the change.
 
     Raises
     ------
     InputError
-        The window has no width.
+        The width of the window is too small.
     """
     item = remove_empty_attributes(item)
     if "WindowWidth" in item:
@@ -77,19 +77,19 @@ def prepare_for_display(item: FileDataset, path: Path) -> FileDataset:
 
 
 def find_padding(item: FileDataset, stored: NDArray[Any]) -> NDArray[np.bool_]:
-    """Find the padding pixels of an object, which are no part of the image.
+    """Find the padding pixels of an object, which do not belong to the image.
 
     Parameters
     ----------
     item : pydicom.dataset.FileDataset
-        DICOM object with a pixel padding value, and perhaps a range limit.
+        DICOM object, with or without the attributes PixelPaddingValue and PixelPaddingRangeLimit.
     stored : (rows, cols) array, any unit
         Stored pixel values.
 
     Returns
     -------
     (rows, cols) bool array
-        True for pixels from the padding value to its range limit; all False without a padding value.
+        True for values from the padding value to the range limit. All False if the object has no padding value.
     """
     value, limit = (item.get(f"PixelPadding{end}") for end in ("Value", "RangeLimit"))
     if value is None:
@@ -99,14 +99,14 @@ def find_padding(item: FileDataset, stored: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def decode_pixels(item: FileDataset, path: Path) -> NDArray[Any]:
-    """Decode the stored pixel values of an object, with an installed plugin of pydicom if they are compressed.
+    """Decode the stored pixel values of an object; compressed values need an installed plugin of pydicom.
 
     Parameters
     ----------
     item : pydicom.dataset.FileDataset
-        DICOM object.
+        DICOM object with pixel data.
     path : Path
-        File to name in the message.
+        Path shown in error messages.
 
     Returns
     -------
@@ -128,9 +128,9 @@ def require_decoder(item: FileDataset, path: Path) -> None:
     Parameters
     ----------
     item : pydicom.dataset.FileDataset
-        DICOM object.
+        DICOM object with pixel data.
     path : Path
-        File to name in the message.
+        Path shown in error messages.
 
     Raises
     ------
@@ -147,8 +147,8 @@ def require_decoder(item: FileDataset, path: Path) -> None:
         decoder = get_decoder(syntax)
     except (NotImplementedError, ValueError):
         raise InputError(
-            f"file {path}: transfer syntax must be of single images, got {syntax.name} ({syntax}), which pydicom "
-            "cannot decode with any plugin"
+            f"file {path}: transfer syntax must be one that pydicom decodes to single images, got {syntax.name} "
+            f"({syntax})"
         ) from None
     if not decoder.is_available:
         lacking = "; ".join(entry.strip() for entry in decoder.missing_dependencies)

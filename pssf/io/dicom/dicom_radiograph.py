@@ -1,4 +1,4 @@
-"""Radiographs as DICOM Digital X-Ray objects: For Processing (linear pixels) and For Presentation (for display)."""
+"""Read and write DICOM Digital X-Ray objects: For Processing (linear pixels) and For Presentation (for display)."""
 
 import hashlib
 import json
@@ -43,13 +43,13 @@ def write_radiograph(
     radiograph : Radiograph
         Radiograph to write.
     description : str
-        JSON metadata. They are stored in the acquisition context, because archives delete private attributes.
+        JSON metadata, stored in the acquisition context, because archives delete private attributes.
     path : Path
         File to write.
     intent : {"processing", "presentation"}
-        "processing" writes the linear pixels in 16 bit, "presentation" an image with display processing in 12 bit.
+        "processing" writes linear pixels with 16 bits, "presentation" an image with display processing and 12 bits.
     side : {"right", "left"} or None
-        Side marker of a presentation image, drawn with the edge of the collimator; None for neither.
+        Side of the marker that is drawn on a presentation image with the edge of the collimator. None draws neither.
     processing : FlatPanelProcessing, ScreenFilm or None
         Display processing of a presentation image; None for the log display.
     """
@@ -76,7 +76,7 @@ def write_radiograph(
     if intent == "presentation":
         remark = f"for display, not for measurement of intensity; processing {format_processing(processing)}"
         item.SourceImageSequence = [make_reference_item(uids, tables, "source_of_processing")]
-        # Two presentations of one radiograph are two objects of the same series.
+        # Presentation images of one radiograph with different processing are separate objects of the same series.
         item.SOPInstanceUID = make_uid(uids[intent], remark, side or "")
     item.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}.{_describe_beam(radiograph.protocol)}"
     write_dataset(item, pixels, path)
@@ -100,20 +100,20 @@ def read_linear_radiograph(path: Path) -> tuple[NDArray[Any], str]:
     Raises
     ------
     InputError
-        The object is of another program, or For Presentation. A damaged file can raise any error.
+        Another program wrote the object, or the object is For Presentation. A damaged file can raise any error.
     """
     item, description = read_radiograph_dataset(path)
     wanted = load_dicom_tables().processing["PresentationIntentType"]
     if item.PresentationIntentType != wanted:
         raise InputError(
-            f"file {path}: PresentationIntentType must be {wanted}, whose pixels are linear, got "
-            f"{item.PresentationIntentType!r}: load_parameters reads the parameters of either"
+            f"file {path}: PresentationIntentType must be {wanted}, which has linear pixels, got "
+            f"{item.PresentationIntentType!r}: load_parameters reads the parameters of both intents"
         )
     return decode_pixels(item, path), description
 
 
 def read_metadata(path: Path) -> tuple[NDArray[Any] | None, str]:
-    """Read the metadata of a Digital X-Ray object that this package wrote, and its linear pixels if it has them.
+    """Read the metadata of a Digital X-Ray object of this package, and its pixels if they are linear.
 
     Parameters
     ----------
@@ -130,7 +130,7 @@ def read_metadata(path: Path) -> tuple[NDArray[Any] | None, str]:
     Raises
     ------
     InputError
-        The object is of another program, or is no radiograph. A damaged file can raise any error.
+        Another program wrote the object, or the object is not a radiograph. A damaged file can raise any error.
     """
     item, description = read_radiograph_dataset(path)
     linear = item.PresentationIntentType == load_dicom_tables().processing["PresentationIntentType"]
@@ -138,7 +138,7 @@ def read_metadata(path: Path) -> tuple[NDArray[Any] | None, str]:
 
 
 def read_radiograph_dataset(path: Path) -> tuple[FileDataset, str]:
-    """Read a Digital X-Ray object that this package wrote, of either intent.
+    """Read a Digital X-Ray object of this package, For Processing or For Presentation.
 
     Parameters
     ----------
@@ -155,7 +155,7 @@ def read_radiograph_dataset(path: Path) -> tuple[FileDataset, str]:
     Raises
     ------
     InputError
-        The object is of another program, or is no radiograph. A damaged file can raise any error.
+        Another program wrote the object, or the object is not a radiograph. A damaged file can raise any error.
     """
     item = read_own_dataset(path, "radiograph")
     return item, item.AcquisitionContextSequence[0].TextValue
@@ -169,7 +169,7 @@ def read_own_dataset(path: Path, kind: str) -> FileDataset:
     path : Path
         File to read.
     kind : str
-        Kind of object in `data/dicom.toml`, such as "radiograph" or "segmentation".
+        Table of `data/dicom.toml` with the required modality, such as "radiograph" or "segmentation".
 
     Returns
     -------
@@ -179,7 +179,7 @@ def read_own_dataset(path: Path, kind: str) -> FileDataset:
     Raises
     ------
     InputError
-        The object is of another program or modality. A damaged file can raise any error.
+        Another program wrote the object, or its modality differs. A damaged file can raise any error.
     """
     item = pydicom.dcmread(path)
     tables = load_dicom_tables()
@@ -191,16 +191,16 @@ def read_own_dataset(path: Path, kind: str) -> FileDataset:
 def make_common_attributes(
     radiograph: Radiograph, uids: Mapping[str, UID], kinds: Iterable[str], tables: DicomTables
 ) -> Dataset:
-    """Make the attributes that every object of a radiograph has: constants of its kinds, patient, study and software.
+    """Make the common attributes of DICOM objects of a radiograph: constants, patient, study and software.
 
     Parameters
     ----------
     radiograph : Radiograph
-        Radiograph of the object.
+        Radiograph that the object represents.
     uids : dict of str to UID
         UIDs from `make_uids`.
     kinds : iterable of str
-        Kinds of object in `data/dicom.toml` whose constants are added.
+        Tables of `data/dicom.toml` whose constants are added, such as "radiograph".
     tables : DicomTables
         DICOM constants and codes.
 
@@ -234,7 +234,7 @@ def write_dataset(item: Dataset, pixels: NDArray[Any], path: Path) -> None:
     Parameters
     ----------
     item : pydicom.dataset.Dataset
-        Attributes, to which the pixels are added in place.
+        Attributes of the object; the pixels are added in place.
     pixels : (rows, cols) array, DN, or (bytes,) array of packed bits of all frames
         Pixel data.
     path : Path
@@ -251,19 +251,19 @@ def write_dataset(item: Dataset, pixels: NDArray[Any], path: Path) -> None:
 
 
 def make_uids(radiograph: Radiograph, description: str) -> dict[str, UID]:
-    """Make UIDs from the content of a radiograph, so that the same content has the same UIDs.
+    """Derive UIDs from the content of a radiograph; the same content gives the same UIDs.
 
     Parameters
     ----------
     radiograph : Radiograph
-        Radiograph of the objects.
+        Radiograph that the objects represent.
     description : str
         JSON metadata of the radiograph.
 
     Returns
     -------
     dict of str to UID
-        UIDs of the study (one per knee), of the series and object of each intent, and of the series of the masks.
+        UID of the study (one study per knee), UIDs of the series and object of each intent, and UID of the mask series.
     """
     content = hashlib.sha256(description.encode())
     content.update(np.ascontiguousarray(radiograph.pixels, "<u2").tobytes())
@@ -285,12 +285,12 @@ def make_reference_item(uids: Mapping[str, UID], tables: DicomTables, purpose: s
     tables : DicomTables
         DICOM constants and codes.
     purpose : str or None
-        Name of the code for the purpose of the reference; None for no purpose.
+        Name of the code for the purpose of the reference; None states no purpose.
 
     Returns
     -------
     pydicom.dataset.Dataset
-        Item of a sequence.
+        Item of a sequence of references.
     """
     item = make_dataset({
         "ReferencedSOPClassUID": tables.processing["SOPClassUID"],
@@ -328,7 +328,7 @@ def _make_anatomy_attributes(subjects: tuple[Knee | None, ...], protocol: Protoc
     item = make_dataset(tables.knee)
     item.ImageLaterality = "B" if len(knees) > 1 else {"right": "R", "left": "L"}[knees[0].side]
     item.AnatomicRegionSequence = [make_code_item("knee", tables)]
-    # DICOM has a view position for these two only, and a view code for every projection.
+    # DICOM defines a view position for AP and PA only, and a view code for every projection.
     if protocol.projection in ("AP", "PA"):
         item.ViewPosition = protocol.projection
     else:
@@ -340,7 +340,8 @@ def _make_anatomy_attributes(subjects: tuple[Knee | None, ...], protocol: Protoc
 def _patient_orientation(side: str, projection: str) -> list[str]:
     """Return the directions of columns and rows in the patient: row direction first, then column direction.
 
-    A lateral image runs posteriorly or anteriorly, and to the feet. An axial one runs to the left, and posteriorly.
+    Rows of a lateral image run posteriorly or anteriorly, and columns run to the feet. Rows of an axial image run to
+    the left, and columns run posteriorly.
     """
     if projection == "axial":
         return ["L", "P"]
@@ -357,7 +358,7 @@ def _make_technique_attributes(protocol: Protocol, detector: Detector, tables: D
     })  # fmt: skip
     if protocol.mas > 0:
         item.ExposureInuAs = round(1000 * protocol.mas)
-        if float(protocol.mas).is_integer():  # An integer in DICOM. A rounded one would contradict ExposureInuAs.
+        if float(protocol.mas).is_integer():  # Exposure is an integer; a rounded value would contradict ExposureInuAs.
             item.Exposure = int(protocol.mas)
     if protocol.mono_kev is None:
         item.update(make_dataset(tables.tube))
@@ -380,7 +381,7 @@ def _make_geometry_attributes(protocol: Protocol) -> Dataset:
     """
     view = resolve_view(protocol)
     enlarged = magnification(view)
-    field_mm = [round(n * protocol.pixel_mm) for n in (protocol.rows, protocol.cols)]  # integers in DICOM
+    field_mm = [round(n * protocol.pixel_mm) for n in (protocol.rows, protocol.cols)]  # DICOM requires integers.
     item = make_dataset({
         "DistanceSourceToPatient": _make_decimal_string(protocol.sod_mm),
         "DistanceSourceToDetector": _make_decimal_string(enlarged * protocol.sod_mm),
@@ -396,17 +397,17 @@ def _make_geometry_attributes(protocol: Protocol) -> Dataset:
 
 
 def make_dataset(values: Mapping[str, Any]) -> Dataset:
-    """Make a data set.
+    """Make a DICOM data set from attribute values.
 
     Parameters
     ----------
     values : dict of str to object
-        DICOM keyword to value.
+        Attribute values, keyed by DICOM keyword.
 
     Returns
     -------
     pydicom.dataset.Dataset
-        Data set with these attributes.
+        Data set with the given attributes.
     """
     item = Dataset()
     for keyword, value in values.items():
@@ -415,17 +416,17 @@ def make_dataset(values: Mapping[str, Any]) -> Dataset:
 
 
 def format_protocol_name(protocol: Protocol) -> str:
-    """Return the name of a protocol in ASCII, since the length of a DICOM long string is limited to 64 bytes.
+    """Convert the name of a protocol to ASCII, because a DICOM long string has at most 64 bytes.
 
     Parameters
     ----------
     protocol : Protocol
-        Protocol; the JSON metadata keep its exact name.
+        Protocol whose name is converted. The JSON metadata keep the exact name.
 
     Returns
     -------
     str
-        Name with other characters replaced by question marks.
+        Name in which question marks replace other characters.
     """
     return protocol.name.encode("ascii", "replace").decode()
 
@@ -436,21 +437,21 @@ def _make_decimal_string(number: float) -> DSfloat:
 
 
 def _dump_json(table: Mapping[str, Any]) -> str:
-    """Encode a table as JSON, with NumPy numbers as Python numbers."""
+    """Encode a table as JSON; convert NumPy numbers to Python numbers."""
     return json.dumps(table, default=lambda number: number.item())
 
 
 def make_uid(*parts: str) -> UID:
-    """Make a UID from texts, under 2.25, the root of UIDs that are UUIDs.
+    """Derive a UID from texts, under the root 2.25 for UIDs that are made from UUIDs.
 
     Parameters
     ----------
     *parts : str
-        Texts that identify the object. The same texts give the same UID.
+        Texts that identify a DICOM object. The same texts give the same UID.
 
     Returns
     -------
     pydicom.uid.UID
-        UID.
+        UID derived from the texts.
     """
     return UID(f"2.25.{uuid5(_UID_NAMESPACE, ' '.join(parts)).int}")

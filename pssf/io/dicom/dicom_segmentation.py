@@ -1,4 +1,4 @@
-"""Masks as a DICOM Segmentation: one binary segment per mask, on the pixel grid of the radiograph."""
+"""Read and write masks as a DICOM Segmentation: one binary segment per mask, on the pixel grid of the radiograph."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -17,27 +17,28 @@ from ..metadata import hash_masks, require_hash, warn_unverified
 from . import dicom_radiograph
 from .dicom_pixels import decode_pixels
 
+# highdicom is not used: its times and UIDs differ between runs, and dciodvfy reports a missing PatientOrientation.
 Masks = Mapping[str, NDArray[np.bool_]]
-# Function that makes the item of a code from its name in `data/dicom.toml`.
+# Function that makes a code item from the name of the code in `data/dicom.toml`.
 CodeMaker = Callable[[str], Dataset]
 _BONES = ("femur", "tibia", "fibula", "patella")
 _HASH_PREFIX = "sha256 of names, sizes and pixels: "
-# Ends of the mask names of osteophytes and cysts.
+# Suffixes of the mask names of osteophytes and cysts.
 _OSTEOPHYTE = "_osteophyte"
 _CYST = "_cyst"
 
 
 def write_segmentation(radiograph: Radiograph, description: str, masks: Masks, path: Path) -> None:
-    """Write masks as a Segmentation that refers to the For Processing object of their radiograph.
+    """Write masks as a Segmentation that refers to the For Processing object of the radiograph.
 
     Parameters
     ----------
     radiograph : Radiograph
         Radiograph of the masks.
     description : str
-        JSON metadata of the radiograph, from which its UIDs are made.
+        JSON metadata of the radiograph, from which the UIDs are derived.
     masks : dict of str to (rows, cols) bool array
-        Mask name to mask. Masks may overlap.
+        Masks, keyed by mask name. Masks may overlap.
     path : Path
         File to write.
     """
@@ -86,18 +87,18 @@ def read_segmentation(path: Path) -> dict[str, NDArray[np.bool_]]:
     Returns
     -------
     dict of str to (rows, cols) bool array
-        Mask name to mask, in the order in which they were written.
+        Masks in the order in which they were written, keyed by mask name.
 
     Raises
     ------
     InputError
-        The object is of another program, is no Segmentation, or differs from its hash. A damaged file can raise any
-        error.
+        Another program wrote the object, the object is not a Segmentation, or the masks differ from their hash. A
+        damaged file can raise any error.
 
     Warns
     -----
     UnverifiedNotice
-        An earlier version wrote no hash, and an archive has replaced the UIDs.
+        An earlier version wrote the file without a hash, and an archive has replaced the UIDs.
     """
     item = dicom_radiograph.read_own_dataset(path, "segmentation")
     shape = (int(item.NumberOfFrames), item.Rows, item.Columns)
@@ -107,7 +108,7 @@ def read_segmentation(path: Path) -> dict[str, NDArray[np.bool_]]:
     if remark.startswith(_HASH_PREFIX):
         require_hash(path, hash_masks(masks), remark.removeprefix(_HASH_PREFIX), "masks")
     elif uid.startswith("2.25."):
-        # Earlier versions made the UID from the content.
+        # Earlier versions derived the UID from the masks, so the UID verifies them.
         require_hash(
             path,
             dicom_radiograph.make_uid(item.SeriesInstanceUID, _hash_content(masks, _pack_bits(masks))),
@@ -115,27 +116,27 @@ def read_segmentation(path: Path) -> dict[str, NDArray[np.bool_]]:
             "masks",
         )
     else:
-        warn_unverified(path, "masks")  # An archive has replaced the UIDs.
+        warn_unverified(path, "masks")  # An archive has replaced the UID that would verify the masks.
     return masks
 
 
 def _pack_bits(masks: Masks) -> NDArray[np.uint8]:
     """Pack masks (rows, cols) into bytes.
 
-    The bits continue from frame to frame, with the first in the lowest bit of its byte (PS3.5, 8.1.1).
+    Frames follow each other without padding. The first pixel is the lowest bit of its byte (PS3.5, 8.1.1).
     """
     return np.packbits(np.concatenate([np.ravel(mask) for mask in masks.values()]).astype(np.bool_), bitorder="little")
 
 
 def _hash_content(masks: Masks, bits: NDArray[np.uint8]) -> str:
-    """Compute the SHA-256 of mask names and packed bits, as earlier versions used it for the UID."""
+    """Compute the SHA-256 of mask names and packed bits, from which earlier versions derived the UID."""
     return hashlib.sha256(" ".join(masks).encode() + bits.tobytes()).hexdigest()
 
 
 def _make_segment_item(number: int, name: str, side: str | None, version: str, code: CodeMaker) -> Dataset:
-    """Describe a segment by the name of its mask: a bone, an osteophyte, or the cysts of a bone.
+    """Make the item of a segment; the mask name determines its codes, such as bone, osteophyte or cyst.
 
-    The mask of one of two knees begins with its side.
+    If a radiograph shows two knees, the mask names begin with the side.
     """
     label = name
     if side is None and name.split("_")[0] in ("right", "left"):
@@ -163,9 +164,9 @@ def _make_segment_item(number: int, name: str, side: str | None, version: str, c
 
 
 def _make_frame_item(number: int, source: Dataset, code: CodeMaker) -> Dataset:
-    """Make the functional groups of one frame, which holds one segment."""
+    """Make the functional groups of one frame, which has the mask of one segment."""
     derived = {"DerivationCodeSequence": [code("segmentation")], "SourceImageSequence": [source]}
-    # Repeated in every frame, although it is the same for all, because highdicom reads it here.
+    # The source image is repeated in every frame, because highdicom reads it from the frames only.
     return dicom_radiograph.make_dataset({
         "DerivationImageSequence": [dicom_radiograph.make_dataset(derived)],
         "FrameContentSequence": [dicom_radiograph.make_dataset({"DimensionIndexValues": [number]})],
@@ -174,7 +175,7 @@ def _make_frame_item(number: int, source: Dataset, code: CodeMaker) -> Dataset:
 
 
 def _make_dimension_attributes(uid: str) -> Dataset:
-    """Make the dimension attributes; frames differ by their segment alone."""
+    """Make the dimension attributes; the segment number is the only dimension of the frames."""
     index = {
         "DimensionOrganizationUID": uid,
         "DimensionIndexPointer": Tag("ReferencedSegmentNumber"),

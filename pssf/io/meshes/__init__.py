@@ -1,1 +1,1 @@
-"""Meshes and scenes on disk: reading of meshes of any program, export, and a 3D viewer page."""
+"""Read meshes of any program, read and export scenes, and write a 3D viewer page."""

@@ -1,4 +1,4 @@
-"""Bone meshes of patients: one NPZ of meshes in correspondence, or mesh files in one folder per bone."""
+"""Read bone meshes of patients from one NPZ of meshes in correspondence, or from one folder of mesh files per bone."""
 
 from pathlib import Path
 
@@ -22,18 +22,19 @@ def read_bones(path: str | Path) -> dict[str, tuple[Mesh, ...]]:
     ----------
     path : str or Path
         An .npz with arrays such as femur_mm (bones, vertices, 3) and femur_faces (faces, 3); a folder with one .npz; or
-        a folder with folders femur, tibia and patella of STL, PLY or OBJ files, which are read in the order of their
-        names.
+        a folder with subfolders femur, tibia and patella of STL, PLY or OBJ files. The files are read in the order of
+        their names.
 
     Returns
     -------
     dict of str to tuple of Mesh
-        Bone to its meshes, in mm, in the axes of a right knee: x medial, y posterior, z proximal.
+        Meshes of each bone, keyed by "femur", "tibia" and "patella". Vertices are in mm in the axes of a right knee: x
+        medial, y posterior, z proximal.
 
     Raises
     ------
     InputError
-        There is no bone, the folder of a bone has no meshes, an array is invalid, or a file cannot be read.
+        The path has no bones, or the folder of a bone has no meshes. An array is invalid, or a file cannot be read.
     """
     path = Path(path)
     archives = (
@@ -76,7 +77,7 @@ def _build_meshes(points: NDArray[np.generic], faces: NDArray[np.generic], label
     numbers = faces.astype(np.int64)
     if numbers.min() < 0 or numbers.max() >= points.shape[1]:
         most = points.shape[1] - 1
-        raise InputError(f"{label}_faces must be vertices 0 to {most}, got {numbers.min()} to {numbers.max()}")
+        raise InputError(f"{label}_faces must be vertex numbers 0 to {most}, got {numbers.min()} to {numbers.max()}")
     vertices = points.astype(np.float64)
     if not np.isfinite(vertices).all():
         raise InputError(f"{label}_mm must be finite, got {(~np.isfinite(vertices)).sum()} values that are not")

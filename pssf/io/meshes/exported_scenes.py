@@ -1,4 +1,4 @@
-"""Scenes that `export_meshes` wrote as GLB or 3MF, read back with the names and materials of their surfaces."""
+"""Read scenes that `export_meshes` wrote as GLB or 3MF, with the names and materials of their surfaces."""
 
 import io
 import json
@@ -19,16 +19,16 @@ from ...geometry.scene import MeshNotice, Scene, Surface
 from .mesh_faults import require_complete_mesh_file
 
 SUFFIXES = (".glb", ".3mf")
-# Namespace of the metadata of this package in a 3MF, which the format requires.
+# XML namespace of the metadata of this package; 3MF requires a namespace.
 NAMESPACE = "https://pypi.org/project/pssf"
 _CORE_NAMESPACE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
-_ALLOWED = "what export_meshes wrote, or a TOML file that names meshes and their materials"
-# Data of the scene, and of each surface its data and mesh.
+_ALLOWED = "a file of export_meshes, or a TOML file that names meshes and their materials"
+# Metadata of a scene, and a list of its surfaces with the metadata and mesh of each.
 _SceneParts = tuple[dict[str, Any], list[tuple[dict[str, Any], Mesh]]]
 
 
 def describe_surface(surface: Surface) -> dict[str, Any]:
-    """Return the data of a surface that a file keeps beside its mesh: names, materials and kinds of density.
+    """Return the metadata of a surface for a mesh file: name, materials and types of varying densities.
 
     Parameters
     ----------
@@ -38,8 +38,8 @@ def describe_surface(surface: Surface) -> dict[str, Any]:
     Returns
     -------
     dict of str to object
-        JSON-ready entries name, inside, outside, unit and, for densities that vary within it, densities. The values of
-        such densities are not in any file.
+        JSON-ready entries name, inside, outside and unit. A surface with varying densities also has the entry
+        densities with their types. No file contains the values of varying densities.
     """
     densities = (surface.inside_density, surface.outside_density)
     varying = [type(density).__name__ for density in densities if density is not None]
@@ -70,7 +70,7 @@ def read_exported_scene(path: Path) -> Scene:
     Warns
     -----
     MeshNotice
-        Densities that varied within a surface are not in the file.
+        A surface of the exported scene had varying densities, which the file does not contain.
     """
     content = read_bytes(path, allowed=_ALLOWED)
     require_complete_mesh_file(content, path)
@@ -87,8 +87,8 @@ def read_exported_scene(path: Path) -> Scene:
     lost = [str(known.get("name", "surface")) for known, _ in named if known.get("densities")]
     if lost:
         warnings.warn(
-            f"file {path} does not hold the varying densities within {', '.join(lost)}; they become uniform; build the "
-            "knee again for its trabecular bone",
+            f"file {path} does not contain the varying densities within {', '.join(lost)}; densities become uniform; "
+            "build the knee again for its trabecular bone",
             MeshNotice,
             stacklevel=3,
         )
@@ -99,7 +99,7 @@ def read_exported_scene(path: Path) -> Scene:
 
 
 def count_described_meshes(content: bytes) -> int:
-    """Count the meshes of a GLB that name the material inside of them, as this package writes it.
+    """Count the meshes of a GLB that have the material metadata of this package.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def count_described_meshes(content: bytes) -> int:
     Returns
     -------
     int
-        Number of meshes; 0 for a file that is no GLB.
+        Number of meshes; 0 if the content is not a GLB.
     """
     length = int.from_bytes(content[12:16], "little")
     try:
@@ -123,12 +123,12 @@ def _read_glb(content: bytes) -> _SceneParts:
     """Read the scene data and the surfaces of a GLB, in the order of the file."""
     nodes = trimesh.load_scene(io.BytesIO(content), file_type="glb", process=False)
     parts, order = [], list(nodes.geometry)
-    # The graph does not keep the order of its nodes.
+    # Nodes are sorted, because the scene graph of trimesh does not keep their order.
     for node in sorted(nodes.graph.nodes_geometry, key=lambda node: (order.index(nodes.graph[node][1]), node)):
         to_metres, name = nodes.graph[node]
         mesh = nodes.geometry[name]
         to_mm = 1000.0 * to_metres[:3]
-        # The identity is not applied, so that vertices stay bit-identical.
+        # An identity transformation is not applied, so that vertices stay bit-identical.
         still = np.array_equal(to_mm, np.eye(3, 4))
         points = np.asarray(mesh.vertices, np.float64)
         points = points if still else points @ to_mm[:, :3].T + to_mm[:, 3]
@@ -146,7 +146,7 @@ def _read_3mf(content: bytes) -> _SceneParts:
 
 
 def _find_objects(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Element, ElementTree.Element]]:
-    """Yield the objects of a 3MF that hold a mesh, each with the element of the mesh."""
+    """Yield the objects of a 3MF that contain a mesh, each with its mesh element."""
     for one in root.iter(f"{_CORE_NAMESPACE}object"):
         mesh = one.find(f"{_CORE_NAMESPACE}mesh")
         if mesh is not None:
@@ -154,14 +154,14 @@ def _find_objects(root: ElementTree.Element) -> Iterator[tuple[ElementTree.Eleme
 
 
 def _read_object_metadata(element: ElementTree.Element, materials: list[str | None]) -> dict[str, Any]:
-    """Read name, material and metadata of an object of a 3MF."""
+    """Read the name, material and metadata of a 3MF object."""
     group = element.find(f"{_CORE_NAMESPACE}metadatagroup")
     known: dict[str, Any] = {"name": element.get("name"), "inside": materials[int(element.get("pindex", -1))]}
     return known | ({} if group is None else _read_metadata(group))
 
 
 def _read_metadata(element: ElementTree.Element) -> dict[str, Any]:
-    """Read the metadata of this package from a model or an object of a 3MF."""
+    """Read the metadata that this package wrote into a model or object of a 3MF."""
     entries = {entry.get("name", ""): entry.text or "" for entry in element.findall(f"{_CORE_NAMESPACE}metadata")}
     return {name.removeprefix("pssf:"): text for name, text in entries.items() if name.startswith("pssf:")}
 

@@ -1,4 +1,4 @@
-"""A 3D viewer page: the solids of a knee, layer by layer, beside its radiograph, in one self-contained HTML file."""
+"""Write a 3D viewer page: one self-contained HTML file that shows the solids of a knee beside its radiograph."""
 
 import io
 import json
@@ -27,11 +27,11 @@ from ..atomic_write import write_bytes
 from .mesh_export import material_colour, simplify_scene, unique_names
 
 TEMPLATE = Path(__file__).with_name("viewer.html")
-# Largest side of the displayed radiograph, in pixels.
+# Largest number of rows or columns of the displayed radiograph.
 MAX_SIDE_PX = 1024
-# Angle between a face and the smooth normal above which an edge is drawn sharp, in degrees.
+# Angle between a face normal and a vertex normal above which a mesh edge is drawn sharp, in degrees.
 _CREASE_DEG = 40.0
-_BEFORE_MM = 40.0  # distance in front of the limb at which the drawn beam begins
+_BEFORE_MM = 40.0  # distance between the limb and the start of the drawn beam, in the direction of the source
 _PLATE_MM = 6.0  # thickness of the drawn detector
 Triples = NDArray[np.floating]
 
@@ -39,7 +39,7 @@ Triples = NDArray[np.floating]
 def write_viewer(
     scene: Scene, radiograph: Radiograph, path: str | Path, *, title: str = "Knee", tolerance_mm: float = 0.05
 ) -> Path:
-    """Write the viewer page of a scene and its radiograph; it needs a browser with WebGL 2 and no network.
+    """Write the viewer page of a scene and its radiograph; the page needs a browser with WebGL 2 and no network.
 
     Parameters
     ----------
@@ -97,8 +97,8 @@ def build_solids_page(scene: Scene, view: View, *, tolerance_mm: float = 0.05) -
 
 
 def _fill_template(content: dict[str, Any], title: str, facts: str) -> str:
-    """Fill the content, title and facts of a page into its HTML template."""
-    # A "<" in a name must not end the script that contains it.
+    """Insert the content, title and knee description of a page into the HTML template."""
+    # "<" is escaped, because "</script>" in a name would end the script element that contains the data.
     data = json.dumps(content, separators=(",", ":")).replace("<", "\\u003c")
     page = TEMPLATE.read_text(encoding="utf-8")
     for mark, text in (("TITLE", escape(title)), ("FACTS", escape(facts)), ("DATA", data)):
@@ -107,14 +107,14 @@ def _fill_template(content: dict[str, Any], title: str, facts: str) -> str:
 
 
 def _encode_solids(scene: Scene, tolerance_mm: float) -> dict[str, Any]:
-    """Encode the bounds and layers of a scene for the page."""
+    """Encode the bounds and layers of a scene for the viewer page."""
     return {"bounds": scene.bounds_mm.round(3).tolist(), "layers": _encode_layers(simplify_scene(scene, tolerance_mm))}
 
 
 def _build_beam_and_detector(view: View, bounds_mm: Array) -> list[Surface]:
-    """Build the detector as a plate, and the beam from a short distance in front of the limb to the detector.
+    """Build surfaces of the detector, and of the beam from a short distance in front of the limb to the detector.
 
-    `bounds_mm` (2, 3) are the bounds of the limb.
+    `bounds_mm` (2, 3) is the bounding box of the limb.
     """
     source, centre = np.array(view.source_mm), np.array(view.centre_mm)
     half = np.array([view.cols, view.rows]) / 2 * view.pixel_mm
@@ -127,7 +127,7 @@ def _build_beam_and_detector(view: View, bounds_mm: Array) -> list[Surface]:
 
 
 def split_creases(mesh: trimesh.Trimesh) -> tuple[Triples, Triples, NDArray[np.int64]]:
-    """Compute vertices and normals for drawing: smooth where faces bend little, and split at creases.
+    """Compute vertices and normals for drawing: smooth within flat regions, and duplicated at creases.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def split_creases(mesh: trimesh.Trimesh) -> tuple[Triples, Triples, NDArray[np.i
     Returns
     -------
     points : (n, 3) array
-        Vertices, in mm, with one copy for each side of a crease.
+        Vertices, in mm, with one copy per adjacent region at a crease.
     normals : (n, 3) array
         Unit normals in steps of 1/127, dimensionless.
     faces : (m, 3) int array
@@ -153,12 +153,12 @@ def split_creases(mesh: trimesh.Trimesh) -> tuple[Triples, Triples, NDArray[np.i
 
 
 def _encode_layers(scene: Scene) -> list[dict[str, Any]]:
-    """Encode every surface with its colour, its place in the list of layers and its mesh, largest volume first."""
-    # Names that differ by a number only, such as "screw_1" and "screw_2", share one row.
+    """Encode every surface with its colour, group and label, and mesh; the largest volume comes first."""
+    # Names that differ only by a number, such as "screw_1" and "screw_2", share one row of the list of layers.
     rows = [re.sub(r"_\d+$", "", name) for name in unique_names(scene)]
     places = [_find_group_and_label(row, rows) for row in rows]
     shared = Counter((group, surface.inside) for (group, _), surface in zip(places, scene.surfaces, strict=True))
-    # Materials are listed from the outside to the inside.
+    # The index of a material is its nesting depth, because `materials` lists them from outside to inside.
     nesting = scene.materials.index
     layers = []
     for (group, row), surface in zip(places, scene.surfaces, strict=True):
@@ -183,14 +183,15 @@ def _find_group_and_label(row: str, rows: Collection[str]) -> tuple[str, str]:
 
 
 def _format_name(name: str) -> str:
-    """Replace the underscores of a name by spaces."""
+    """Replace underscores in a name by spaces."""
     return name.replace("_", " ")
 
 
 def _encode_mesh(surface: Surface) -> dict[str, Any]:
-    """Encode a mesh as text.
+    """Encode a mesh as base64 text.
 
-    Vertices have 16 bits over the bounds of the surface, normals 8 bits, and vertex numbers 16 or 32 bits.
+    Vertex coordinates have 16 bits over the bounding box of the surface, normals have 8 bits, and vertex numbers have
+    16 or 32 bits.
     """
     mesh = trimesh.Trimesh(surface.solid.points, surface.solid.faces, process=False)
     points, normals, faces = split_creases(mesh)
@@ -214,9 +215,9 @@ def _encode_base64(values: NDArray[Any]) -> str:
 
 
 def _encode_radiograph(radiograph: Radiograph) -> dict[str, Any]:
-    """Encode the displayed radiograph, bone bright, and the positions of its landmarks.
+    """Encode a radiograph processed for display, with bone bright, and the positions of its landmarks.
 
-    Positions are fractions of its height and width.
+    Positions are fractions of the height and width of the radiograph.
     """
     shown = render_for_display(radiograph.pixels, detector=radiograph.protocol.detector)
     rows, cols = shown.shape
@@ -240,7 +241,7 @@ def _encode_radiograph(radiograph: Radiograph) -> dict[str, Any]:
 
 
 def _format_parameters(radiograph: Radiograph) -> dict[str, dict[str, str]]:
-    """Format the parameters of the radiograph as tables of text."""
+    """Format the parameters of knee and protocol as tables of text."""
     tables = {} if radiograph.knee is None else {"Knee": knee_to_dict(radiograph.knee)}
     tables["Protocol"] = protocol_to_dict(radiograph.protocol)
     return {title: {name: _format_value(value) for name, value in table.items()} for title, table in tables.items()}
@@ -258,7 +259,7 @@ def _format_value(value: Any) -> str:
 
 
 def _format_facts(radiograph: Radiograph) -> str:
-    """Describe the knee in one line."""
+    """Describe the knee of a radiograph in one line: side, sex, grade and joint space widths."""
     knee = radiograph.knee
     if knee is None:
         return "Own meshes"

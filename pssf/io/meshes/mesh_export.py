@@ -1,4 +1,4 @@
-"""Scenes as mesh files: STL and PLY with one file per surface, GLB and 3MF with one named object per surface."""
+"""Export scenes as mesh files: STL and PLY with one file per surface, GLB and 3MF with one object per surface."""
 
 import io
 import zipfile
@@ -27,7 +27,7 @@ from .exported_scenes import NAMESPACE, describe_surface
 
 FORMATS = ("stl", "ply", "glb", "3mf")
 Colour = tuple[int, int, int, int]
-# Red, green, blue and opacity, 0 to 255. Shells are translucent, so that inner solids are visible.
+# Red, green, blue and opacity of each material, 0 to 255. Outer solids are translucent to show inner solids.
 _COLOURS = {
     "cortical_bone": (236, 226, 198, 140),
     "trabecular_bone": (214, 168, 120, 150),
@@ -37,7 +37,7 @@ _COLOURS = {
     "muscle": (170, 60, 55, 60),
     "adipose": (240, 214, 120, 40),
     "skin": (224, 172, 140, 40),
-    # The beam and the detector are shown beside the solids.
+    # Colours of the beam and of the detector, which the viewer page shows beside the solids.
     "beam": (86, 180, 233, 14),
     "detector": (70, 84, 110, 170),
 }
@@ -70,15 +70,15 @@ def export_meshes(
 ) -> list[Path]:
     """Write the surfaces of a scene as mesh files, in mm.
 
-    GLB and 3MF are one file with all surfaces, STEM.glb and STEM.3mf. STL and PLY are one file per surface,
-    STEM-SURFACE.stl and STEM-SURFACE.ply.
+    GLB and 3MF have all surfaces in one file, STEM.glb or STEM.3mf. STL and PLY have one file per surface,
+    STEM-SURFACE.stl or STEM-SURFACE.ply.
 
     Parameters
     ----------
     scene : Scene
         Scene to write, such as ``build(knee).scene``.
     directory : str or Path
-        Folder of the files. It is created if it does not exist.
+        Folder into which the files are written; created if it does not exist.
     formats : tuple of str
         Any of "stl", "ply", "glb" and "3mf".
     stem : str
@@ -98,7 +98,7 @@ def export_meshes(
 
     See Also
     --------
-    read_scene : Read a GLB or 3MF back, with the materials of its surfaces.
+    read_scene : Read a GLB or 3MF with the materials of its surfaces.
     read_mesh : Read a single mesh.
 
     Examples
@@ -128,7 +128,7 @@ def export_meshes(
 
 
 def require_export_options(formats: tuple[str, ...], tolerance_mm: float) -> None:
-    """Require formats and a tolerance that `export_meshes` accepts.
+    """Check the formats and the tolerance of `export_meshes`.
 
     Parameters
     ----------
@@ -166,7 +166,7 @@ def material_colour(material: str) -> Colour:
 
 
 def simplify_scene(scene: Scene, tolerance_mm: float) -> Scene:
-    """Merge triangles of all surfaces as long as no surface moves by more than a tolerance.
+    """Merge triangles of all surfaces while no surface moves by more than a tolerance.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def simplify_scene(scene: Scene, tolerance_mm: float) -> Scene:
 
 
 def unique_names(scene: Scene) -> list[str]:
-    """Return the names of the surfaces of a scene, with a number added to repeated ones.
+    """Return the names of the surfaces of a scene, with a number added to repeated names.
 
     Parameters
     ----------
@@ -218,7 +218,7 @@ def unique_names(scene: Scene) -> list[str]:
 def encode_glb(scene: Scene) -> bytes:
     """Encode a scene as binary glTF, with one node per surface.
 
-    Vertices are in mm below a root node that scales them to metres. glTF 2.0, 3.3: "The units for all linear distances
+    Vertices are in mm, and a root node scales them to metres. glTF 2.0, 3.3: "The units for all linear distances
     are meters."
 
     Parameters
@@ -241,8 +241,9 @@ def encode_glb(scene: Scene) -> bytes:
 def encode_3mf(scene: Scene) -> bytes:
     """Encode a scene as 3MF (core specification 1.3), in mm, with one named and coloured object per surface.
 
-    One assembly holds the objects, larger ones before smaller ones. Where components overlap, the material of the last
-    one holds, so a 3MF consumer nests the solids as the ray caster does. The same scene gives the same bytes.
+    One assembly contains the objects, sorted from the largest to the smallest volume. In 3MF the last of two
+    overlapping components determines the material, so solids are nested as in the ray caster. The same scene gives the
+    same bytes.
 
     Parameters
     ----------
@@ -281,7 +282,7 @@ def _encode_files(scene: Scene, kind: str) -> Iterator[tuple[str, bytes]]:
 
 
 def _make_mesh(surface: Surface) -> trimesh.Trimesh:
-    """Make the mesh of a surface as the ray caster uses it."""
+    """Make the mesh of a surface with the repaired solid that the ray caster uses."""
     return trimesh.Trimesh(surface.solid.points, surface.solid.faces, process=False)
 
 
@@ -291,14 +292,17 @@ def _format_remark(surface: Surface) -> str:
 
 
 def _encode_stl(surface: Surface) -> bytes:
-    """Encode a surface as binary STL, with a remark in its 80-byte header, which must not begin with "solid"."""
+    """Encode a surface as binary STL, with a description in the header of 80 bytes.
+
+    The header begins with "STL", because "solid" would mark an ASCII file.
+    """
     content = _make_mesh(surface).export(file_type="stl")
     assert isinstance(content, bytes)
     return f"STL {_format_remark(surface)}".encode("ascii", "replace")[:80].ljust(80) + content[80:]
 
 
 def _encode_ply(surface: Surface) -> bytes:
-    """Encode a surface as binary PLY, with a remark and the colour of the material at every vertex."""
+    """Encode a surface as binary PLY, with a comment line and the colour of the material at every vertex."""
     mesh = _make_mesh(surface)
     mesh.visual = trimesh.visual.ColorVisuals(
         mesh, vertex_colors=np.tile(_material_rgba(surface), (len(mesh.vertices), 1))
@@ -352,7 +356,7 @@ def _format_metadata(name: str, value: str | list[str]) -> str:
 def _object_type(surface: Surface) -> str:
     """Return the 3MF object type: "model" if every edge has two faces, else "surface".
 
-    The edge that two bodies of a solid share has four faces.
+    A mesh edge that two bodies of a solid share has four faces.
     """
     faces = surface.solid.faces.astype(np.int64)
     start, end = (faces[:, order].ravel() for order in ([0, 1, 2], [1, 2, 0]))
@@ -360,9 +364,9 @@ def _object_type(surface: Surface) -> str:
 
 
 def _format_mesh_xml(surface: Surface) -> str:
-    """Format the mesh of a 3MF object and the end of the object.
+    """Format the mesh element of a 3MF object and the end tag of the object.
 
-    Nine digits preserve any float32, which is the precision of most readers.
+    Nine digits preserve any float32. Most readers use this precision.
     """
     points = [f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in surface.solid.points.tolist()]
     faces = [f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in surface.solid.faces.tolist()]
@@ -371,8 +375,8 @@ def _format_mesh_xml(surface: Surface) -> str:
 
 
 def _simplify_surface(surface: Surface, tolerance_mm: float) -> Surface:
-    """Merge triangles of a surface as long as it moves by no more than the tolerance."""
-    # Copies are needed, because manifold3d rejects read-only arrays.
+    """Merge triangles of a surface while it moves by at most the tolerance."""
+    # The vertices are copied, because manifold3d rejects read-only arrays.
     mesh = manifold3d.Mesh64(np.array(surface.solid.points), surface.solid.faces.astype(np.uint64))
     reduced = manifold3d.Manifold(mesh).simplify(tolerance_mm).to_mesh64()
     faces = reduced.tri_verts.astype(np.int64)

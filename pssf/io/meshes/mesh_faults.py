@@ -1,4 +1,4 @@
-"""Incomplete mesh files, recognised by the sizes in their headers."""
+"""Detect incomplete mesh files by the sizes in their headers."""
 
 import re
 import warnings
@@ -13,19 +13,19 @@ _REMEDY = "export or copy it again"
 def require_complete_mesh_file(content: bytes, path: Path) -> None:
     """Require that a PLY or GLB is complete, and warn of an OBJ that may be incomplete.
 
-    An OBJ has no header that gives its size.
+    An OBJ has no header with its size, so only unused vertices can be detected.
 
     Parameters
     ----------
     content : bytes
         Content of the file.
     path : Path
-        File to name in messages; its suffix gives the format.
+        Path shown in error messages; its suffix gives the format.
 
     Raises
     ------
     InputError
-        The file is shorter than its header says, or the header itself is incomplete.
+        The file is shorter than its header specifies, or the header is incomplete.
 
     Warns
     -----
@@ -42,20 +42,18 @@ def require_complete_mesh_file(content: bytes, path: Path) -> None:
 
 
 def _require_complete_ply(content: bytes, path: Path) -> None:
-    """Require that a PLY has a complete header and, in an ASCII file, all its lines."""
+    """Require that a PLY has a complete header and, if it is an ASCII file, one line per vertex and face."""
     if not content.startswith(b"ply"):
         raise InputError(f"file {path} must begin with ply, got {content[:12]!r}: {_REMEDY}, or correct its suffix")
     header, end, body = content.partition(b"end_header")
     counts = [int(number) for number in re.findall(rb"^element\s+\S+\s+(\d{1,15})\s*$", header, re.MULTILINE)]
     if not end or not re.search(rb"^element\s+face\b", header, re.MULTILINE):
-        raise InputError(
-            f"file {path} must have a complete header with faces, got {len(header)} bytes of one: {_REMEDY}"
-        )
+        raise InputError(f"file {path} must have a complete header with faces, got {len(header)} bytes: {_REMEDY}")
     if re.search(rb"^format\s+ascii\b", header, re.MULTILINE):
-        # Every vertex and face has one line. Only the last may lack its end, and may then be cut off.
+        # Every vertex and face has one line. Only the last line may lack a line end, and may then be incomplete.
         lines = [line for line in body.splitlines()[1:] if line.strip()]
         if len(lines) < sum(counts):
-            raise InputError(f"file {path} must hold {sum(counts)} vertices and faces, got {len(lines)}: {_REMEDY}")
+            raise InputError(f"file {path} must have {sum(counts)} vertices and faces, got {len(lines)}: {_REMEDY}")
 
 
 def _require_complete_glb(content: bytes, path: Path) -> None:
@@ -65,7 +63,9 @@ def _require_complete_glb(content: bytes, path: Path) -> None:
         raise InputError(f"file {path} must begin with glTF, got {content[:4]!r}: {_REMEDY}, or correct its suffix")
     length = int.from_bytes(content[8:12], "little")
     if len(content) < max(length, 20):
-        raise InputError(f"file {path} must hold {length} bytes, as its header says, got {len(content)}: {_REMEDY}")
+        raise InputError(
+            f"file {path} must have {length} bytes, as its header specifies, got {len(content)}: {_REMEDY}"
+        )
 
 
 def _warn_of_lost_faces(content: bytes, path: Path) -> None:
@@ -73,10 +73,11 @@ def _warn_of_lost_faces(content: bytes, path: Path) -> None:
     count = len(re.findall(rb"^\s*v\s", content, re.MULTILINE))
     faces = re.findall(rb"^\s*f\s([^\n]*)$", content, re.MULTILINE)
     used = [int(number) for face in faces for number in re.findall(rb"(?:^|\s)(-?\d{1,15})", face)]
-    # Negative numbers count back from the latest vertex, which is not known here.
+    # Files with negative vertex numbers are skipped, because such numbers count back from the vertex read last.
     if faces and used and min(used) > 0 and max(used) < count:
         warnings.warn(
-            f"file {path}: its vertices {max(used) + 1} to {count} belong to no face; it may be cut off; {_REMEDY}",
+            f"file {path}: vertices {max(used) + 1} to {count} belong to no face; the file may be incomplete; "
+            f"{_REMEDY}",
             MeshNotice,
             stacklevel=5,
         )

@@ -1,4 +1,4 @@
-"""Reading of one mesh from a file of any program: STL, PLY, OBJ or GLB."""
+"""Read one mesh from an STL, PLY, OBJ or GLB file of any program."""
 
 import io
 from pathlib import Path
@@ -13,7 +13,7 @@ from .mesh_faults import require_complete_mesh_file
 from .stl_reader import read_stl
 
 _FORMATS = "STL, PLY, OBJ or GLB"
-# A GLB is in metres.
+# Millimetres per metre; the unit of a GLB is the metre.
 _MM_PER_M = 1000.0
 
 
@@ -35,7 +35,7 @@ def read_mesh(path: str | Path) -> trimesh.Trimesh:
     Raises
     ------
     InputError
-        The file is missing, incomplete, no mesh, or a scene of several meshes.
+        The file is missing, incomplete, not a mesh, or a scene of several meshes.
 
     Warns
     -----
@@ -77,10 +77,10 @@ def _load_with_trimesh(content: bytes, path: Path) -> Any:
     """Read a mesh with trimesh; convert its errors to an InputError."""
     kind = path.suffix.lower()
     if kind == ".3mf" or (kind == ".glb" and count_described_meshes(content) > 1):
-        raise InputError(f"file {path} must hold one mesh, got {kind[1:].upper()}, a scene: use pssf.read_scene")
+        raise InputError(f"file {path} must have one mesh, got a {kind[1:].upper()} scene: use pssf.read_scene")
     try:
         if kind in (".obj", ".ply") and not _is_unicode(content):
-            # Older programs write names and remarks in other encodings. Numbers are not affected.
+            # Older programs write names and comments in other encodings. The encoding does not affect numbers.
             text = content.decode("latin-1").encode() if kind == ".obj" else _convert_header_to_ascii(content)
             return trimesh.load_mesh(io.BytesIO(text), file_type=kind[1:], process=True)
         return trimesh.load_mesh(path, process=True)
@@ -96,8 +96,8 @@ def _load_with_trimesh(content: bytes, path: Path) -> Any:
 
 
 def _is_unicode(content: bytes) -> bool:
-    """Return whether the header of a file is valid UTF-8; a text without "end_header" is all header."""
-    header = content.partition(b"end_header")[0]  # The part after the header may be binary.
+    """Return whether the header of a mesh file is valid UTF-8; a file without "end_header" is checked completely."""
+    header = content.partition(b"end_header")[0]  # The content after the header may be binary.
     try:
         header.decode()
     except UnicodeDecodeError:

@@ -1,4 +1,4 @@
-"""Scenes of meshes of the user, listed in a TOML file."""
+"""Read scenes of user meshes that a TOML file lists."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from .mesh_reader import read_mesh
 
 
 class _SurfaceEntry(Record, frozen=True):
-    """One mesh file in a scene file. Without a name, the surface is named after the mesh file."""
+    """Entry of one mesh in a scene file. An entry without a name gets the stem of the mesh file as name."""
 
     file: str
     inside: str
@@ -32,12 +32,12 @@ def read_scene(path: str | Path) -> Scene:
     """Read a scene from a TOML file that lists meshes, or from a GLB or 3MF that `export_meshes` wrote.
 
     The TOML file has one table ``[[surface]]`` per mesh, with the entries file, inside, outside and, optionally, name.
-    The optional entry ambient names the material around all surfaces, which is air by default.
+    The optional entry ambient names the material around all surfaces; the default is air.
 
     Parameters
     ----------
     path : str or Path
-        File to read. Mesh files in a TOML file are relative to it, and in mm; a GLB is in metres.
+        File to read. Paths of mesh files are relative to the TOML file. Meshes are in mm, except GLB in metres.
 
     Returns
     -------
@@ -52,7 +52,7 @@ def read_scene(path: str | Path) -> Scene:
     Warns
     -----
     MeshNotice
-        Densities that varied within a surface are not in a GLB or 3MF.
+        A surface of the exported scene had varying densities, which a GLB or 3MF does not contain.
 
     See Also
     --------
@@ -80,12 +80,12 @@ def read_scene(path: str | Path) -> Scene:
         described = msgspec.convert(read_toml(path), _SceneFile)
     except msgspec.ValidationError as error:
         raise InputError(
-            f"file {path} must have tables [[surface]] with file, inside, outside, name, got {error}"
+            f"file {path} must have tables [[surface]] with the entries file, inside, outside and name, got {error}"
         ) from None
     return Scene([_read_surface(one, path.parent) for one in described.surface], described.ambient)
 
 
 def _read_surface(entry: _SurfaceEntry, folder: Path) -> Surface:
-    """Read the mesh of a surface from the folder of the scene file."""
+    """Read the surface of an entry; the path of its mesh is relative to `folder`."""
     mesh, name = read_mesh(folder / entry.file), entry.name or Path(entry.file).stem
     return Surface(mesh, inside=entry.inside, outside=entry.outside, name=name)

@@ -1,7 +1,7 @@
-"""Reading of binary and ASCII STL files, with a check that no facet is missing.
+"""Read binary and ASCII STL files, and check that no facet is missing.
 
-Readers that split a text at its "endsolid" lose a body without such an end. This one compares the number of facets with
-the header of a binary file, or with the facets that an ASCII file begins.
+Some readers split an ASCII file at "endsolid" and lose a body that has no "endsolid". This module compares the
+number of facets with the header of a binary file, or with the number of words "facet" in an ASCII file.
 """
 
 import re
@@ -16,7 +16,7 @@ from ...core.checks import Array, InputError
 _HEADER = 84  # bytes before the first facet of a binary STL
 _FACET = 50  # bytes per facet of a binary STL
 _FACET_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-# Lines that begin and end a body. The name of a body may hold any word.
+# Lines that begin and end a body. The name of a body may contain any word.
 _BEGIN = re.compile(rb"^[ \t]*solid\b[^\n]*$", re.MULTILINE | re.IGNORECASE)
 _END = re.compile(rb"^[ \t]*end[ \t]*solid\b[^\n]*$", re.MULTILINE | re.IGNORECASE)
 _VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
@@ -24,14 +24,16 @@ _REMEDY = "export or copy it again"
 
 
 def read_stl(content: bytes, path: Path) -> trimesh.Trimesh:
-    """Read an STL, and merge equal vertices of each body, which the format repeats in every facet.
+    """Read an STL, and merge equal vertices of each body.
+
+    The format repeats a vertex in every facet.
 
     Parameters
     ----------
     content : bytes
         Content of the file.
     path : Path
-        File to name in messages.
+        Path shown in error messages.
 
     Returns
     -------
@@ -41,7 +43,7 @@ def read_stl(content: bytes, path: Path) -> trimesh.Trimesh:
     Raises
     ------
     InputError
-        The file is incomplete, or has invalid facets.
+        The file is incomplete, or a facet is invalid.
     """
     count = int.from_bytes(content[80:_HEADER], "little")
     is_text = re.match(rb"(\xef\xbb\xbf)?\s*solid\b", content, re.IGNORECASE) and b"\0" not in content
@@ -51,14 +53,14 @@ def read_stl(content: bytes, path: Path) -> trimesh.Trimesh:
 
 
 def _read_binary_stl(content: bytes, count: int, path: Path) -> trimesh.Trimesh:
-    """Read a binary STL. Only blanks may follow the facets, such as a line end that a transfer added."""
+    """Read a binary STL. Only whitespace and zero bytes may follow the facets, such as an added line end."""
     if len(content) < _HEADER:
         raise InputError(f"file {path} must be an STL, got {len(content)} bytes without a header: {_REMEDY}")
     rest = content[_HEADER + _FACET * count :]
     if len(content) < _HEADER + _FACET * count or rest.strip(b"\0 \t\r\n"):
         held = (len(content) - _HEADER) / _FACET
         raise InputError(
-            f"file {path} must hold the {count} facets that its header announces, got bytes for {held:.1f}: {_REMEDY}"
+            f"file {path} must have the {count} facets that its header specifies, got bytes for {held:.1f}: {_REMEDY}"
         )
     return _weld_facets(np.frombuffer(content, _FACET_RECORD, count, _HEADER)["corners"].astype(np.float64))
 
@@ -68,7 +70,9 @@ def _read_ascii_stl(text: bytes, path: Path) -> trimesh.Trimesh:
     # Text before the first body is ignored.
     bodies = _BEGIN.split(text)[1:]
     if bodies and not _END.search(bodies[-1]):
-        raise InputError(f"file {path} must end with endsolid, got {len(bodies)} bodies, the last without: {_REMEDY}")
+        raise InputError(
+            f"file {path} must end with endsolid, got {len(bodies)} bodies, the last one without endsolid: {_REMEDY}"
+        )
     meshes = [
         _read_body(_END.sub(b"", body), f"file {path}: body {number}") for number, body in enumerate(bodies, start=1)
     ]
@@ -78,21 +82,23 @@ def _read_ascii_stl(text: bytes, path: Path) -> trimesh.Trimesh:
 
 
 def _read_body(text: bytes, label: str) -> trimesh.Trimesh:
-    """Read one body of an ASCII STL; `label` names it in messages."""
+    """Read one body of an ASCII STL; error messages begin with `label`."""
     begun, ended = (len(re.findall(word, text, re.IGNORECASE)) for word in (rb"\bfacet\b", rb"\bendfacet\b"))
     corners = _VERTEX.findall(text)
     if begun != ended or 3 * begun != len(corners):
         raise InputError(
-            f"{label} must hold whole facets of 3 corners, got {begun} begun, {ended} ended, {len(corners)} corners: "
-            f"{_REMEDY}"
+            f"{label} must have complete facets of 3 vertices, got {begun} facet, {ended} endfacet, "
+            f"{len(corners)} vertices: {_REMEDY}"
         )
     try:
         return _weld_facets(np.array(corners, np.bytes_).astype(np.float64).reshape(-1, 3, 3))
     except ValueError as error:
-        raise InputError(f"{label}: corners must be numbers, got {str(error).rpartition(':')[2].strip()}") from None
+        raise InputError(
+            f"{label}: vertex coordinates must be numbers, got {str(error).rpartition(':')[2].strip()}"
+        ) from None
 
 
 def _weld_facets(corners_mm: Array) -> trimesh.Trimesh:
-    """Make a mesh from the corners (facets, 3, 3) of its facets, in mm, with equal corners merged."""
+    """Make a mesh from facet corners (facets, 3, 3), in mm, and merge equal corners."""
     faces = np.arange(3 * len(corners_mm)).reshape(-1, 3)
     return trimesh.Trimesh(corners_mm.reshape(-1, 3), faces, process=True)

@@ -1,4 +1,4 @@
-"""TIFF radiographs that Pillow cannot read correctly: 9 to 15 bits, big-endian negatives, rotated images."""
+"""Read TIFF radiographs that Pillow reads wrongly: 9 to 15 bits, big-endian white-is-zero, or rotated images."""
 
 import zlib
 from pathlib import Path
@@ -13,15 +13,15 @@ from ...core.checks import Array, InputError
 # Values of PhotometricInterpretation (TIFF 6.0, tag 262).
 _WHITE_IS_ZERO = 0
 _BLACK_IS_ZERO = 1
-# Values of Compression (TIFF 6.0, tag 259); Deflate has two.
+# Values of Compression (TIFF 6.0, tag 259). Deflate has two values.
 _NONE = 1
 _DEFLATE = (8, 32946)
-# Bits per pixel that do not fill whole bytes, and those that do.
+# Numbers of bits per pixel that do not fill whole bytes, and numbers that do.
 _PACKED = range(9, 16)
 _WHOLE = (8, 16)
 # Orientations (TIFF 6.0, tag 274) that exchange rows and columns.
 _TRANSPOSED_ORIENTATIONS = range(5, 9)
-# Function that makes an image upright, by its orientation (TIFF 6.0, tag 274).
+# Functions that make an image upright, keyed by its orientation (TIFF 6.0, tag 274).
 _TURN_UPRIGHT: dict[int, Any] = {
     2: lambda a: a[:, ::-1],
     3: lambda a: a[::-1, ::-1],
@@ -44,8 +44,8 @@ def read_packed_tiff(path: Path) -> Array | None:
     Returns
     -------
     (rows, cols) array or None
-        Upright grey values from 0 (black) to 1 over the range of the bits; None for any TIFF that Pillow reads
-        correctly, or reports as damaged.
+        Upright grey values from 0 (black) to 1 (largest value of the bit depth). None for a TIFF that Pillow reads
+        correctly, or that Pillow reports as damaged.
 
     Raises
     ------
@@ -60,7 +60,7 @@ def read_packed_tiff(path: Path) -> Array | None:
         page: Any = tiff.pages[0]
         bits, kind = page.bitspersample, int(page.photometric)
         orientation = page.tags.valueof(274) or 1
-        # Pillow exchanges rows and columns before it reads uncompressed pixels, and so mixes them up.
+        # Pillow exchanges rows and columns before it reads uncompressed pixels, so the pixels get wrong positions.
         sideways = orientation in _TRANSPOSED_ORIENTATIONS and page.compression == _NONE
         negative = kind == _WHITE_IS_ZERO and tiff.byteorder == ">" and bits == 16
         if page.samplesperpixel != 1 or kind not in (_WHITE_IS_ZERO, _BLACK_IS_ZERO):
@@ -80,16 +80,17 @@ def read_packed_tiff(path: Path) -> Array | None:
 
 
 def _unpack_strips(tiff: tifffile.TiffFile, page: Any, bits: int, path: Path) -> NDArray[np.integer[Any]]:
-    """Decode strips to grey values (rows, cols), without unit.
+    """Decode the strips of a TIFF to grey values (rows, cols), without unit.
 
-    Rows begin at whole bytes, and the highest bit comes first.
+    Each row begins at a byte boundary. The most significant bit of a pixel comes first.
     """
     rows, cols = page.imagelength, page.imagewidth
     known = page.compression == _NONE or page.compression in _DEFLATE
     if page.is_tiled or not known or page.predictor != 1:
         how = "tiles" if page.is_tiled else f"{page.compression.name}, predictor {int(page.predictor)}"
         raise InputError(
-            f"file {path} must have strips, uncompressed or with Deflate, got {bits} bits in {how}: save it that way"
+            f"file {path} must store its pixels in strips, uncompressed or with Deflate, got {bits} bits in {how}: "
+            "save it again"
         )
     content = bytearray()
     for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
@@ -98,7 +99,9 @@ def _unpack_strips(tiff: tifffile.TiffFile, page: Any, bits: int, path: Path) ->
         content += strip if page.compression == _NONE else zlib.decompress(strip)
     row_bytes = -(-cols * bits // 8)
     if len(content) < rows * row_bytes:
-        raise InputError(f"file {path} must hold {rows * row_bytes} bytes of pixels, got {len(content)}: copy it again")
+        raise InputError(
+            f"file {path} must contain {rows * row_bytes} bytes of pixels, got {len(content)}: copy it again"
+        )
     packed = np.frombuffer(content, np.uint8, rows * row_bytes).reshape(rows, row_bytes)
     if bits in _WHOLE:
         return packed.reshape(-1).view(f"{tiff.byteorder}u{bits // 8}").reshape(rows, cols)

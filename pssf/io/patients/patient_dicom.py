@@ -1,4 +1,4 @@
-"""DICOM radiographs of any manufacturer, as they are displayed."""
+"""Read DICOM radiographs of any manufacturer, with pixels as displayed."""
 
 from pathlib import Path
 from typing import Any
@@ -20,14 +20,14 @@ from ...data.imaging.display_table import FlatPanelProcessing, load_display_proc
 from ...detector.display_processing import render_processed
 from ..dicom.dicom_pixels import decode_pixels, find_padding, prepare_for_display
 
-# DICOM laterality to side.
+# Side of the knee for each value of the DICOM attribute Laterality.
 _SIDES = {"R": "right", "L": "left"}
 # Largest relative difference between height and width of a square pixel, dimensionless.
 _SQUARE_TOLERANCE = 0.01
 # Values of PresentationIntentType (DICOM PS3.3, C.8.11.1).
 _PRESENTATION = "FOR PRESENTATION"
 _PROCESSING = "FOR PROCESSING"
-# Linear pixels are scaled to the grey values of a 16-bit panel before their logarithm, in DN.
+# Largest grey value of a 16-bit detector, in DN. Linear pixels are scaled to it before the logarithm is taken.
 _MAX_GREY = 2.0**16 - 1
 
 
@@ -37,7 +37,7 @@ def is_own_linear_dicom(path: Path) -> bool:
     Parameters
     ----------
     path : Path
-        File to check. pydicom raises its own errors for one that it cannot read.
+        File to check. For an unreadable file pydicom raises errors of its own.
 
     Returns
     -------
@@ -58,23 +58,23 @@ def read_dicom_film(
     Parameters
     ----------
     path : Path
-        File to read. pydicom raises its own errors for one that it cannot read.
+        File to read. For an unreadable file pydicom raises errors of its own.
     allowed_mm : tuple of float
         Smallest and largest pixel size that is accepted, in mm.
     processing : FlatPanelProcessing or None
-        Display processing of linear pixels; None: that of the display preset "processed".
+        Display processing of linear pixels; None uses the display preset "processed".
 
     Returns
     -------
     dict of str to object
-        Fields of `FilmImage`: pixels (rows, cols) from 0 to 1 with bone bright, pixel_mm and side. The last two are
-        None if the file does not give them.
+        Fields of `FilmImage`: pixels (rows, cols) from 0 to 1 with bone bright, pixel_mm and side. pixel_mm and
+        side are None if the file does not give them.
 
     Raises
     ------
     InputError
-        The file has several frames, colour or pixels that are not square, or it is For Processing and does not state
-        how its pixels depend on the beam.
+        The file has several frames, colour, or pixels that are not square. Or the file is For Processing and does not
+        state how pixel values depend on the detector signal.
     """
     item = prepare_for_display(pydicom.dcmread(path), path)
     frames = int(item.get("NumberOfFrames", 1) or 1)
@@ -90,7 +90,7 @@ def read_dicom_film(
     else:
         stored = decode_pixels(item, path)
         shown = _apply_luts(item, stored)
-        # Either attribute states that the smallest value is displayed white (PS3.3, C.8.11.3.1.2 and C.11.6.1.2).
+        # MONOCHROME1 and INVERSE both display the smallest value white (PS3.3, C.8.11.3.1.2 and C.11.6.1.2).
         inverse = kind == "MONOCHROME1" or str(item.get("PresentationLUTShape", "")) == "INVERSE"
         pixels = np.where(find_padding(item, stored), 0.0, 1.0 - shown if inverse else shown)
     side = _SIDES.get(str(item.get("ImageLaterality", "") or item.get("Laterality", "")))
@@ -102,20 +102,21 @@ def _process_linear_pixels(
 ) -> Array:
     """Apply display processing to For Processing pixels; return (rows, cols) from 0 to 1, bone bright.
 
-    A window is ignored, because the standard forbids it there. The sign of the pixel intensity relationship decides
-    whether bone is bright, not the photometric interpretation (DICOM PS3.3, C.8.11.3.1.2). A rescale with a positive
-    slope keeps the relationship; another rescale may not.
+    A VOI window is ignored, because the standard forbids it in For Processing objects. The sign of the pixel intensity
+    relationship determines whether bone is bright; the photometric interpretation does not (DICOM PS3.3, C.8.11.3.1.2).
+    A rescale with a positive slope keeps the relationship. A modality LUT may change it.
     """
     relationship, sign = (item.get(f"PixelIntensityRelationship{end}") for end in ("", "Sign"))
     require_choice(f"file {path}: PixelIntensityRelationship", str(relationship or ""), ("LIN", "LOG"))
     require_choice(f"file {path}: PixelIntensityRelationshipSign", str(sign or ""), ("1", "-1"))
     if "ModalityLUTSequence" in item:
         raise InputError(
-            f"file {path}: pixels {_PROCESSING} must have a slope, which keeps {relationship}, got a modality LUT"
+            f"file {path}: pixels {_PROCESSING} must have a rescale slope, got a modality LUT, which "
+            f"may not be {relationship}"
         )
     slope = float(item.get("RescaleSlope", 1))
     if not slope > 0:
-        raise InputError(f"file {path}: RescaleSlope of pixels {_PROCESSING} must be more than 0, got {slope:g}")
+        raise InputError(f"file {path}: RescaleSlope of pixels {_PROCESSING} must be greater than 0, got {slope:g}")
     stored = decode_pixels(item, path)
     values = np.asarray(apply_modality_lut(stored, item), np.float64)
     padding = find_padding(item, stored)
@@ -127,20 +128,22 @@ def _process_linear_pixels(
         return np.asarray(1.0 - share if int(sign) == 1 else share)
     if int(sign) == -1:
         raise InputError(
-            f"file {path}: PixelIntensityRelationshipSign of linear pixels must be 1, got -1: their zero is unknown"
+            f"file {path}: PixelIntensityRelationshipSign of linear pixels must be 1, got -1: the pixel value "
+            "without signal is unknown"
         )
     if pixel_mm is None:
         raise InputError(
-            f"file {path}: linear pixels must have an ImagerPixelSpacing, got none: the display processing needs sizes"
+            f"file {path}: linear pixels must have an ImagerPixelSpacing, got none: the display processing needs "
+            "the pixel size"
         )
     if not values.max() > 0:
-        raise InputError(f"file {path}: the largest of linear pixels must be more than 0, got {values.max():g}")
+        raise InputError(f"file {path}: the largest linear pixel value must be greater than 0, got {values.max():g}")
     signal = np.maximum(values * (_MAX_GREY / values.max()), 1.0).astype(np.float32)
     return render_processed(signal, pixel_mm, processing).astype(np.float64)
 
 
 def _apply_luts(item: FileDataset, stored: NDArray[Any]) -> Array:
-    """Apply modality and VOI transformations; return (rows, cols) from 0 to 1 over the range of their results."""
+    """Apply modality and VOI transformations; scale the result (rows, cols) to 0 to 1 over its possible range."""
     bits, signed = int(item.BitsStored), int(item.PixelRepresentation) == 1
     ends = np.array([-(2 ** (bits - 1)), 2 ** (bits - 1) - 1] if signed else [0, 2**bits - 1], np.float64)
     if "ModalityLUTSequence" in item:
@@ -154,7 +157,7 @@ def _apply_luts(item: FileDataset, stored: NDArray[Any]) -> Array:
 
 
 def _read_pixel_mm(item: FileDataset, path: Path, allowed_mm: tuple[float, float]) -> float | None:
-    """Read the pixel size in mm: at the detector, else where it was calibrated; None if the file gives none."""
+    """Read the pixel size in mm from ImagerPixelSpacing, else from PixelSpacing; return None if neither is present."""
     pitch = item.get("ImagerPixelSpacing") or item.get("PixelSpacing")
     if not pitch:
         return None

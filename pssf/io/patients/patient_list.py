@@ -23,21 +23,21 @@ _SIDE_WORDS = {
     "destra": "right",
 }  # fmt: skip
 _SIDE_LETTERS = {"l": "left", "r": "right"}
-# A word of its own, or after a digit: left_12, 12-right-knee, 12left.
+# The name of a side as a separate word, or after a digit: left_12, 12-right-knee, 12left.
 _SIDE_WORD_PATTERN = re.compile(rf"(?:(?<=\d)|(?<![^\W_]))(?P<side>{'|'.join(_SIDE_WORDS)})(?![^\W_])", re.IGNORECASE)
-# L or R at the end: after a digit, or as a word of its own in a name with a digit: 12L, 12_R, p12a-l.
+# L or R at the end of a name, after a digit or as a separate word: 12L, 12_R, p12a-l.
 _SIDE_LETTER_PATTERN = re.compile(r"(?<=\d)(?P<side>[LR])$|(?<=[-_ .])(?P<lone>[LRlr])$")
 _SEPARATORS = "-_ ."
 
 
 @dataclass(frozen=True, kw_only=True)
 class Film:
-    """One patient radiograph of a list.
+    """Entry of a list of patient radiographs.
 
     Parameters
     ----------
     file : str
-        Image file, relative to the folder of the list.
+        Image file, with a path relative to the folder that was listed.
     grade : int or None
         Kellgren-Lawrence grade, 0 to 4; None if it is not known.
     subject : str
@@ -49,10 +49,11 @@ class Film:
     sha256 : str
         SHA-256 of the file, in hexadecimal digits.
     processing : FlatPanelProcessing or None
-        Display processing of linear pixels; None for the display preset "processed". Other images keep theirs.
+        Display processing of linear pixels; None uses the display preset "processed". Images
+        that are already processed for display stay unchanged.
     resampled_pixel_mm : float or None
-        Pixel size, 0.01 to 5 mm for a knee of standard size, to which the image is reduced before a comparison; None
-        keeps the image.
+        Pixel size to which the image is downsampled before a comparison, 0.01 to 5 mm for a knee of standard size.
+        None keeps the pixel size of the image.
 
     Raises
     ------
@@ -87,14 +88,14 @@ class Film:
 def list_films(folder: str | Path) -> tuple[Film, ...]:
     """List the patient radiographs of a folder in the order of their names, or the rows of its CSV table.
 
-    Hidden files, resource forks (._x.png), lock files (~$x.csv) and files that are no image are left out.
+    Hidden files, resource forks (._x.png), lock files (~$x.csv) and files that are not images are left out.
 
     Parameters
     ----------
     folder : str or Path
         Folder with subfolders 0 to 4, one per grade, and radiographs without a grade beside them; or a folder with one
-        CSV table; or the table itself. Its columns are file, grade, subject, side and pixel_mm. All but the first may
-        be missing or empty.
+        CSV table; or the table itself. Its columns are file, grade, subject, side and pixel_mm. All columns but
+        file may be missing or empty.
 
     Returns
     -------
@@ -112,11 +113,12 @@ def list_films(folder: str | Path) -> tuple[Film, ...]:
     tables = [folder] if is_table else [path for path in list_files(folder) if path.suffix.lower() == ".csv"]
     if len(tables) > 1:
         names = ", ".join(path.name for path in tables)
-        raise InputError(f"folder {folder} must have one CSV, or subfolders 0 to 4, got the tables {names}")
+        raise InputError(f"folder {folder} must contain one CSV file, or subfolders 0 to 4, got the tables {names}")
     films = tuple(_list_table_films(tables[0])) if tables else tuple(_list_folder_films(folder))
     if not films:
         raise InputError(
-            f"folder {folder} must have subfolders 0 to 4 of {', '.join(SUFFIXES)}, or a CSV, got no radiographs"
+            f"folder {folder} contains no radiographs: it must contain subfolders named 0 to 4 (the grades) with"
+            f" {', '.join(SUFFIXES)} files, or a CSV file that lists the radiographs"
         )
     _require_consistent_copies(films, folder)
     return films
@@ -126,8 +128,8 @@ def parse_subject_and_side(stem: str) -> tuple[str, str | None]:
     """Read subject and side from the name of a radiograph without its suffix.
 
     The side is the word left or right (links, rechts, gauche, droite and others), alone or after a digit. L or R at the
-    end counts too, after a digit or as a word of its own in a name with a digit. The rest of the name is the subject:
-    9003175L and 9003175_R are of one subject, as are P1_left and P1_right.
+    end of the name is a side too, if it follows a digit, or is a separate word in a name with a digit. The rest of the
+    name is the subject: 9003175L and 9003175_R belong to one subject, as do P1_left and P1_right.
 
     Parameters
     ----------
@@ -137,9 +139,9 @@ def parse_subject_and_side(stem: str) -> tuple[str, str | None]:
     Returns
     -------
     subject : str
-        Name of the subject; the whole name if it gives no side, or both.
+        Name of the subject; the whole file name if it gives no side, or both sides.
     side : {"right", "left"} or None
-        Side of the knee; None if the name gives none, or both.
+        Side of the knee; None if the file name gives no side, or both sides.
 
     Examples
     --------
@@ -163,7 +165,7 @@ def require_film(path: Path, label: str = "") -> None:
     path : Path
         File to check.
     label : str
-        Name of the file in the message; empty for its path.
+        Name of the file in error messages; empty shows the path.
 
     Raises
     ------
@@ -178,7 +180,7 @@ def require_film(path: Path, label: str = "") -> None:
 
 
 def _remove_side(stem: str, match: re.Match[str]) -> str:
-    """Return the name without its side, with one underscore between the parts; the whole name if nothing is left."""
+    """Remove the side from a file name and join the remaining parts with "_"; keep the name if no part remains."""
     before, after = stem[: match.start()].rstrip(_SEPARATORS), stem[match.end() :].lstrip(_SEPARATORS)
     return "_".join(part for part in (before, after) if part) or stem
 
@@ -195,13 +197,13 @@ def _require_consistent_copies(films: tuple[Film, ...], folder: Path) -> None:
             one, two = getattr(other, name), getattr(film, name)
             if one != two and None not in (one, two):
                 raise InputError(
-                    f"folder {folder}: {other.file} and {film.file} are copies and must have one {name}, got {one} and "
-                    f"{two}"
+                    f"folder {folder}: {other.file} and {film.file} are copies, so their {name} must be equal, got "
+                    f"{one} and {two}"
                 )
 
 
 def _list_folder_films(folder: Path) -> Iterator[Film]:
-    """Yield the radiographs of the subfolders 0 to 4, then those of the folder itself."""
+    """Yield the radiographs in the subfolders 0 to 4, then the radiographs in the folder itself."""
     graded: list[tuple[int | None, Path]] = [(grade, folder / str(grade)) for grade in GRADES]
     for grade, place in [*graded, (None, folder)]:
         for path in list_files(place):
@@ -212,7 +214,7 @@ def _list_folder_films(folder: Path) -> Iterator[Film]:
 
 
 def _stem(path: Path) -> str:
-    """Return the name without suffix; the whole name of a DICOM without a suffix, such as 1.2.840.1."""
+    """Return the file name without its suffix. A DICOM name without a suffix, such as 1.2.840.1, stays whole."""
     return path.stem if path.suffix.lower() in SUFFIXES else path.name
 
 

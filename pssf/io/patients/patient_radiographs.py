@@ -1,4 +1,4 @@
-"""Patient radiographs of any source: the pixels of one image as displayed; `patient_list` lists the files."""
+"""Read a patient radiograph of any image format, with pixels as displayed; `patient_list` lists the files."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,12 +30,13 @@ from .patient_list import (
 
 __all__ = ["SIDES", "SUFFIXES", "Film", "FilmImage", "list_films", "parse_subject_and_side", "read_film"]
 
-# Smallest side of an image, in pixels. It resolves a joint of 100 mm to about 1.5 mm.
+# Smallest number of rows or columns of an image. With it, the pixels of a joint 100 mm wide have about 1.5 mm.
 MIN_SIDE_PX = 64
-# Pillow mode to number of grey values.
+# Number of grey values of each Pillow mode.
 _GREY_LEVELS = {"L": 2**8, "I;16": 2**16, "I;16L": 2**16, "I;16B": 2**16, "I;16N": 2**16}
 _COLOUR_MODES = ("P", "PA", "LA", "RGB", "RGBA")
-# Largest difference of the channels of a grey image, of 1. The colour transform of JPEG rounds them.
+# Largest difference between the colour channels of a grey image, as a fraction of the largest grey value. The colour
+# transform of JPEG rounds the channels.
 _MAX_CHANNEL_SPREAD = 8 / 255
 _WHITE_IS_ZERO = 0  # value of PhotometricInterpretation
 _PHOTOMETRIC = 262  # TIFF 6.0: tag PhotometricInterpretation
@@ -43,16 +44,16 @@ _PHOTOMETRIC = 262  # TIFF 6.0: tag PhotometricInterpretation
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FilmImage:
-    """A radiograph as it is displayed.
+    """Radiograph with pixels as displayed.
 
     Attributes
     ----------
     pixels : (rows, cols) array
-        Grey values from 0 to 1 over the range of the bits. Bone is bright, unless the image is inverted and its file
-        does not state this.
+        Grey values from 0 to 1 (largest value of the bit depth). Bone is bright, unless the image is inverted and its
+        file does not state the inversion.
     pixel_mm : float or None
-        Pixel size at the detector, in mm; None if the file gives none. Only DICOM and files of this package give it,
-        since the resolution in other files is meant for printing.
+        Pixel size at the detector, in mm; None if the file gives none. Only DICOM and files of this package give a
+        pixel size. The resolution in other files is meant for printing.
     side : {"right", "left"} or None
         Side of the knee; None if the file gives none.
     """
@@ -63,14 +64,14 @@ class FilmImage:
 
 
 def read_film(path: str | Path, processing: FlatPanelProcessing | None = None) -> FilmImage:
-    """Read a radiograph as it is displayed; linear pixels and their logarithms get display processing.
+    """Read a radiograph as displayed; apply display processing to linear pixels and to their logarithms.
 
     Parameters
     ----------
     path : str or Path
         PNG, JPEG, TIFF or DICOM of 8 to 16 bit. A colour image must have equal channels.
     processing : FlatPanelProcessing or None
-        Display processing of linear pixels; None for the display preset "processed".
+        Display processing of linear pixels; None uses the display preset "processed".
 
     Returns
     -------
@@ -80,8 +81,9 @@ def read_film(path: str | Path, processing: FlatPanelProcessing | None = None) -
     Raises
     ------
     InputError
-        The file is missing, empty, damaged, no image, coloured, too small, of several frames, of one grey value, or has
-        pixels that are not square. A DICOM For Processing must also state how its pixels depend on the beam.
+        The file is missing, empty, damaged, or not an image. The image is coloured or too small, or has several frames,
+        a single grey value, or pixels that are not square. A DICOM For Processing does not state how pixel values
+        depend on the detector signal.
     """
     path = Path(path)
     require_film(path)
@@ -171,7 +173,7 @@ def _convert_to_grey(values: NDArray[Any], mode: str, path: Path) -> Array:
         return values.astype(np.float64) / (_GREY_LEVELS[mode] - 1)
     shown = values.astype(np.float64) / 255.0
     if shown[..., 3].min() < 1.0:
-        raise InputError(f"file {path}: opacity must be 1 in all pixels, got {shown[..., 3].min():.2f} in some")
+        raise InputError(f"file {path}: opacity must be 1 in all pixels, got a minimum of {shown[..., 3].min():.2f}")
     spread = float(np.ptp(shown[..., :3], axis=2).max())
     if spread > _MAX_CHANNEL_SPREAD:
         raise InputError(

@@ -1,4 +1,4 @@
-"""Stored pixel values of image files of any source, and whether a file declares the meaning of its pixels."""
+"""Read the stored pixel values of image files, and detect whether a file declares the meaning of its pixels."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,13 +15,13 @@ from ..image_kind import is_dicom
 from ..radiograph_files import convert_read_errors, load_parameters
 from .patient_list import PIXEL_MM_RANGE, require_film
 
-# Smallest and largest stored value: the ranges of int16 and uint16.
+# Smallest value of int16 and largest value of uint16, the limits of stored values.
 _LEAST = -32768
 _MOST = 65535
 _ALLOWED_STORED = "one grey image of 8 to 16 bit"
 _ALLOWED_LINEAR = "one image of linear pixels, 9 to 16 bit, grey"
-_SOFTWARE_TAG = 305  # tag Software of a TIFF
-# DICOM attribute to the value that states that pixels are not linear in the signal.
+_SOFTWARE_TAG = 305  # TIFF 6.0: tag Software
+# Values of DICOM attributes that state that pixels are not linear in the signal.
 _NONLINEAR_VALUES = {
     "PresentationIntentType": "FOR PRESENTATION",
     "PixelIntensityRelationship": "LOG",
@@ -32,14 +32,15 @@ _SQUARE_TOLERANCE = 0.01  # largest relative difference between height and width
 
 
 class StoredPixels(NamedTuple):
-    """Pixels as a file stores them.
+    """Pixel values as stored in a file.
 
     Attributes
     ----------
     pixels : (rows, cols) integer array
         Stored values, without unit.
     pixel_mm : float or None
-        Pixel size at the detector, in mm; None if the file gives none. Only DICOM does.
+        Pixel size at the detector, in mm; None if the file gives none. Only DICOM gives
+        it.
     side : {"right", "left"} or None
         Side of the knee; None if the file gives none.
     dicom_attributes : dict of str to str
@@ -53,7 +54,7 @@ class StoredPixels(NamedTuple):
 
 
 def read_stored_pixels(path: str | Path) -> StoredPixels:
-    """Read pixel values as a file stores them, without display processing; those of a DICOM after its rescale.
+    """Read pixel values as stored in a file, without display processing; rescale the values of a DICOM.
 
     Parameters
     ----------
@@ -68,8 +69,8 @@ def read_stored_pixels(path: str | Path) -> StoredPixels:
     Raises
     ------
     InputError
-        The file is missing, damaged, no image, in colour, of several frames, or has values that are not whole numbers
-        from -32768 to 65535.
+        The file is missing, damaged, or not an image. The image has colour, several frames, or values that are not
+        whole numbers from -32768 to 65535.
     """
     path = Path(path)
     require_film(path)
@@ -85,7 +86,7 @@ def read_stored_pixels(path: str | Path) -> StoredPixels:
 
 
 def read_linear_pixels(path: str | Path) -> StoredPixels:
-    """Read pixels that their owner declares to be linear in the signal, with air bright.
+    """Read pixels that the user declares to be linear in the signal, with air bright.
 
     Parameters
     ----------
@@ -100,18 +101,18 @@ def read_linear_pixels(path: str | Path) -> StoredPixels:
     Raises
     ------
     InputError
-        `read_stored_pixels` raises an InputError; the file has 8 bits or fewer, or negative values; or a DICOM states
-        that its pixels are logarithms, decrease with the signal, or are for presentation.
+        `read_stored_pixels` raises an InputError. The file has 8 bits or fewer, or negative values. A DICOM states that
+        its pixels are logarithms, decrease with the signal, or are For Presentation.
     """
     path = Path(path)
     stored = read_stored_pixels(path)
     bits = 8 * stored.pixels.dtype.itemsize
     if bits == 8 or int(stored.pixels.min()) < 0:
         least, most = int(stored.pixels.min()), int(stored.pixels.max())
-        raise InputError(f"file {path} must be {_ALLOWED_LINEAR}, got {least} to {most} of {bits} bit")
+        raise InputError(f"file {path} must be {_ALLOWED_LINEAR}, got values {least} to {most} of {bits} bits")
     for name, refused in _NONLINEAR_VALUES.items():
         if stored.dicom_attributes.get(name, "") == refused:
-            raise InputError(f"file {path}: {name} of linear pixels must be another value, got {refused}")
+            raise InputError(f"file {path}: {name} must state linear pixels, got {refused}")
     return stored._replace(pixels=stored.pixels.astype(np.uint16))
 
 
@@ -126,7 +127,7 @@ def has_declared_pixel_meaning(path: Path) -> bool:
     Returns
     -------
     bool
-        True for DICOM, files of this package, and images of 8 bit, which are displayed.
+        True for DICOM, for files of this package, and for images of 8 bits, whose pixels are as displayed.
     """
     if is_dicom(path):
         return True
@@ -157,7 +158,7 @@ def _read_picture(path: Path) -> NDArray[Any]:
 
 
 def _read_dicom(path: Path) -> StoredPixels:
-    """Read the stored values of a DICOM after its rescale, with pixel size, side and meaning of the pixels."""
+    """Read the rescaled values of a DICOM, its pixel size and side, and the attributes that state their meaning."""
     import pydicom  # pydicom is only imported for DICOM files.
     from pydicom.pixels import apply_modality_lut
 

@@ -1,4 +1,4 @@
-"""Acquisition variability: sample how positioning and technique of a protocol vary from one radiograph to the next."""
+"""Acquisition variability: sample positioning and technique, which vary from one radiograph to the next."""
 
 from dataclasses import replace
 from typing import Any
@@ -17,18 +17,18 @@ from ...data.knees.field_definitions import FieldSpec, load_field_specs
 from ..knee import Knee
 from ..protocol import Protocol
 
-# Normal distributions are truncated at this number of standard deviations.
+# Number of standard deviations at which normal distributions are truncated.
 _TRUNCATION_SD = 2.0
-# Sampled values are rounded to this step (of their own unit): finer differences could not be measured.
+# Rounding step of sampled values, in the unit of each field; finer differences could not be measured.
 _ROUNDING_STEP = 0.001
-# Fields that vary only in a protocol that flexes the knee.
+# Fields that vary only if the protocol flexes the knee.
 _FLEXION_FIELDS = ("flexion_deg", "tibia_forward_deg")
 # Fields of an acquisition other than the pose of the leg.
 _ACQUISITION_FIELDS = (
     *("centre_x_mm", "centre_z_mm", "beam_angle_deg", "tibia_forward_deg", "tube_kv", "mas", "sdd_mm"),
     *("field_width_mm", "field_height_mm", "marker"),
 )
-# Side -> letter of its marker.
+# Side of the body -> letter of the side marker.
 SIDE_MARKERS = {"right": "R", "left": "L"}
 
 
@@ -37,8 +37,7 @@ def sample_acquisition(protocol: Protocol, *, rng: RNGLike, side: str | None = N
     """Sample the acquisition variability of a protocol: positioning, beam, technique, field and marker.
 
     Centring, tilt, rotation and flexion of the leg, beam angle, distance, kV, mAs, field and marker vary as in
-    ``data/exposures.toml``, which names the sources. A value beyond the range of its field is set to the end of the
-    range.
+    ``data/exposures.toml``, which names the sources. Values are clipped to the range of their field.
 
     Parameters
     ----------
@@ -47,17 +46,17 @@ def sample_acquisition(protocol: Protocol, *, rng: RNGLike, side: str | None = N
     rng : int or numpy.random.Generator
         Seed or generator; the only source of randomness.
     side : {"right", "left"}, optional
-        Side of the knee, whose letter the marker shows. None: no marker.
+        Side of the body that the marker shows. None: no marker.
 
     Returns
     -------
     Protocol
-        Protocol with the sampled values; a radiograph keeps it.
+        Protocol with the sampled values; `Radiograph.protocol` stores it.
 
     Raises
     ------
     InputError
-        If `protocol` is no Protocol, `side` is unknown, or `rng` is neither an integer nor a Generator.
+        If `protocol` is not a Protocol, `side` is unknown, or `rng` is neither an integer nor a Generator.
 
     Examples
     --------
@@ -72,7 +71,8 @@ def sample_acquisition(protocol: Protocol, *, rng: RNGLike, side: str | None = N
     rng = resolve_generator(rng)
     require_choice("side", side, (*SIDE_MARKERS, None))
     table, laws = load_acquisition_variability(), load_field_specs("protocol")
-    # All fields are sampled, also unused ones, so that the values of one field do not depend on the use of another.
+    # All fields are sampled, even unused ones, so that the random numbers of a field do not depend on which others are
+    # used.
     drawn = {name: float(_sample_normal(rng)) * sd for name, sd in (table.spread | table.factor).items()}
     width, height = (float(rng.uniform(*pair)) for pair in (table.field.width_mm, table.field.height_mm))
     marked = rng.random() < table.marker.share
@@ -86,13 +86,13 @@ def sample_acquisition(protocol: Protocol, *, rng: RNGLike, side: str | None = N
     }
     letter = SIDE_MARKERS[side] if marked and side is not None else "none"
     field: dict[str, Any] = {"field_width_mm": round(width, 1), "field_height_mm": round(height, 1), "marker": letter}
-    if protocol.knee_distance_mm:  # The sampled field is that of one knee, too small for two.
+    if protocol.knee_distance_mm:  # The sampled field size fits one knee and is too small for two.
         field |= {name: getattr(protocol, name) for name in ("field_width_mm", "field_height_mm")}
     return replace(protocol, **(field | within))
 
 
 def describe_acquisition(knee: Knee, protocol: Protocol) -> dict[str, float | str]:
-    """List the values of an acquisition: all fields that `sample_acquisition` varies, for one knee.
+    """List the values of all fields that `sample_acquisition` varies, for the radiograph of a knee.
 
     Parameters
     ----------
@@ -104,8 +104,8 @@ def describe_acquisition(knee: Knee, protocol: Protocol) -> dict[str, float | st
     Returns
     -------
     dict of str to (float or str)
-        Field of the protocol and value. ``flexion_deg``, ``rotation_deg`` and ``tilt_deg`` are the sums of the values
-        of the knee and of the protocol.
+        Value per field of the protocol. ``flexion_deg``, ``rotation_deg`` and ``tilt_deg`` are the sums of the knee's
+        own angle and the angle added by the protocol.
     """
     taken: dict[str, float | str] = {name: getattr(protocol, name) for name in _ACQUISITION_FIELDS}
     own = {"flexion_deg": knee.flexion_deg, "rotation_deg": knee.rotation_deg, "tilt_deg": knee.lean_deg}
@@ -120,6 +120,6 @@ def _sample_normal(rng: np.random.Generator) -> float:
 
 
 def _clip_to_range(value: float, law: FieldSpec, step: float) -> float:
-    """Limit a value to the range of its field and round it to whole steps."""
+    """Clip a value to the range of its field and round it to whole steps."""
     assert law.range is not None
     return round(round(float(np.clip(value, *law.range)) / step) * step, 3)

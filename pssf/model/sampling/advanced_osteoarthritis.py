@@ -13,10 +13,10 @@ from ...data.knees.grade_records import (
 from ...data.table_records import Pair
 from ..knee import Cyst, Osteophyte, other_compartment
 
-# Values of `Cyst.place` from which each cyst is shifted at random. With the jitter they stay at least 0.5 apart, as
-# `Knee` requires for cysts of one site.
+# Positions of cysts before the random shift, in units of `Cyst.place`. After the shift, two cysts are still at least
+# 0.5 apart, as `Knee` requires for cysts at the same site.
 _CYST_POSITIONS = (-0.7, 0.0, 0.7)
-# Largest random shift of a cyst from its position, in units of `Cyst.place`.
+# Largest random shift of a cyst, in units of `Cyst.place`.
 _POSITION_JITTER = 0.09
 
 
@@ -36,13 +36,13 @@ def sample_advanced_fields(
     severity : float
         Severity of the knee within its grade, as a standard score.
     rng : numpy.random.Generator
-        Generator of a stream that nothing else uses.
+        Generator with its own random stream.
 
     Returns
     -------
     dict of str to object
-        The fields ``cysts``, ``subluxation_mm``, ``notch_growth_mm`` and ``effusion_mm`` of a `Knee`. A sign that the
-        table does not define is an empty tuple or 0.
+        The fields ``cysts``, ``subluxation_mm``, ``notch_growth_mm`` and ``effusion_mm`` of a `Knee`. Fields that the
+        table does not define are an empty tuple or 0.
     """
     of_cysts, of_subluxation, of_notch = rng.spawn(3)
     cysts = () if table.cysts is None else _sample_cysts(table.cysts, grade, narrowed_side, of_cysts)
@@ -50,7 +50,7 @@ def sample_advanced_fields(
     slip, notch, effusion = table.subluxation, table.notch, table.effusion
 
     def millimetres(laws: MeanSdByGrade, bounds: Pair, chance: np.random.Generator) -> float:
-        """Sample a value in mm that correlates with the severity, limited to its bounds."""
+        """Sample a value in mm that correlates with the severity, and clip it to its bounds."""
         mean, sd = laws[grade]
         score = correlated_score(severity, table.side.severity_correlation, chance.standard_normal())
         return round(float(np.clip(mean + sd * score, *bounds)), 4)
@@ -68,18 +68,18 @@ def sample_advanced_fields(
 def sample_central_osteophytes(
     law: CentralOsteophyteDistribution | None, grade: int, narrowed_side: str, rng: np.random.Generator
 ) -> tuple[Osteophyte, ...]:
-    """Sample an osteophyte in the middle of a joint surface, or none.
+    """Sample at most one osteophyte in the middle of a joint surface.
 
     Parameters
     ----------
     law : CentralOsteophyteDistribution or None
-        Frequency, location and size. None: no central osteophytes.
+        Distribution of frequency, location and size. None: no central osteophytes.
     grade : int
         KL grade of the knee.
     narrowed_side : {"medial", "lateral"}
         Compartment that narrows.
     rng : numpy.random.Generator
-        Generator of a stream that nothing else uses.
+        Generator with its own random stream.
 
     Returns
     -------
@@ -96,21 +96,21 @@ def sample_central_osteophytes(
 
 
 def correlated_score(severity: float, correlation: float, independent_score: float) -> float:
-    """Combine a severity with an independent score so that the result correlates with the severity.
+    """Compute a standard score with a given correlation to the severity.
 
     Parameters
     ----------
     severity : float
         Severity, a standard score.
     correlation : float
-        Correlation of the result with the severity, -1 to 1.
+        Correlation of the returned score with the severity, -1 to 1.
     independent_score : float
         Standard score that is independent of the severity.
 
     Returns
     -------
     float
-        Standard score with this correlation.
+        Standard score with the given correlation.
     """
     return float(correlation * severity + np.sqrt(1 - correlation**2) * independent_score)
 

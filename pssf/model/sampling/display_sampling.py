@@ -1,4 +1,4 @@
-"""Display processing that varies from site to site: sample latitude, sharpness and the grey scale."""
+"""Sample display processing, which varies between radiology departments: latitude, sharpness and grey scale."""
 
 import msgspec
 import numpy as np
@@ -7,13 +7,13 @@ from ...core.checks import RNGLike, resolve_generator
 from ...core.keyword_arguments import check_keywords
 from ...data.imaging.display_table import DisplayProcessing, FlatPanelProcessing, load_display_processing
 
-# Normal distributions are truncated at this number of standard deviations.
+# Number of standard deviations at which normal distributions are truncated.
 _TRUNCATION_SD = 2.0
 
 
 @check_keywords()
 def sample_display_processing(*, rng: RNGLike) -> FlatPanelProcessing:
-    """Sample the display processing of a site: latitude, sharpness, and the dark and bright ends of the grey scale.
+    """Sample the display processing of a department: latitude, sharpness, and both ends of the grey scale.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def sample_display_processing(*, rng: RNGLike) -> FlatPanelProcessing:
 
 
 def sample_processing_from_table(table: DisplayProcessing, *, rng: np.random.Generator) -> FlatPanelProcessing:
-    """Sample display processing as `sample_display_processing` does, from a table that is already loaded.
+    """Sample display processing from a loaded table, as in `sample_display_processing`.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Sample a knee, or both knees of a person, of a KL grade from a grade table."""
+"""Sample a knee, or both knees of a person, for a KL grade from a grade table."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -31,11 +31,11 @@ from ..knee import (
 )
 from .severity_sampling import sample_severity_fields
 
-# Grade table that is used if none is named.
+# Name of the default grade table.
 DEFAULT_GRADE_TABLE = "population"
-# Standard scores of normal distributions are limited to this number of standard deviations.
+# Number of standard deviations to which standard scores are clipped.
 _TRUNCATION_SD = 2.0
-# Fields that the two knees of a person share.
+# Fields that are equal in both knees of a person.
 _SHARED_FIELDS = (
     "sex", "stature_mm", "bone_scale", "cortex_scale", "bmi", "limb_ap_mm", "fat_mm", "skin_folds", "age_years",
     "bone_density", "shape", "fibular_tip_mm", "insall_salvati", "fabella_mm", "mechanical_axis_deg",
@@ -44,7 +44,7 @@ _SHARED_FIELDS = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KneeDistributions:
-    """Distributions that knees are sampled from.
+    """Distributions from which knees are sampled.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class KneeDistributions:
     mode_count : int
         Number of modes of bone shape.
     limbs : LimbStatistics
-        BMI, and thickness of limb and fat by BMI and sex.
+        Distribution of the BMI, and limb and fat thickness by BMI and sex.
     bmi : FieldSpec
         Allowed range of the BMI.
     density : (mean, SD) pair of float
@@ -102,21 +102,22 @@ def load_knee_distributions(table: str) -> KneeDistributions:
 
 @check_keywords(table="grade_table")
 def sample_knee(*, grade: int, rng: RNGLike, grade_table: str = DEFAULT_GRADE_TABLE, **fixed: Any) -> Knee:
-    """Sample a knee of a KL grade from a grade table.
+    """Sample a knee for a KL grade from a grade table.
 
     Parameters
     ----------
     grade : int
         KL grade: 0 to 4 in the table ``population``, 0 to 2 in ``paper``.
     rng : int or numpy.random.Generator
-        Seed or generator; the only source of randomness. Size and pose are sampled from it. Texture seed, shape and BMI
-        are sampled from its child generators.
+        Seed or generator; the only source of randomness. Size and pose are sampled from the generator. Texture seed,
+        bone shape and BMI are sampled from child generators.
     grade_table : str, default "population"
-        In ``population`` the grades overlap as in patients, and the joint spaces are those that readers measure. In
-        ``paper`` the joint space alone separates grades 0 to 2. A path of a TOML file names a user's own table.
+        Name of a grade table, or path of a user's own TOML file. In ``population`` the grades overlap as in patients,
+        and joint spaces have the definition "read" (`Knee.jsw_definition`). In ``paper`` the joint space alone
+        separates grades 0 to 2.
     **fixed : object
-        Fields of `Knee` to hold at a given value. The other fields do not depend on them, with two exceptions: sizes
-        depend on `sex`, and limb thickness and fat depend on `bmi`.
+        Fields of `Knee` with fixed values. Fixed values do not change the other sampled fields, with two exceptions:
+        sizes depend on `sex`, and limb and fat thickness depend on `bmi`.
 
     Returns
     -------
@@ -142,7 +143,7 @@ def sample_knee(*, grade: int, rng: RNGLike, grade_table: str = DEFAULT_GRADE_TA
 
 
 def _require_grade(distributions: KneeDistributions, grade: int, tables_with_grade: Sequence[str] = ()) -> None:
-    """Check that the grade table has a grade; the error names the package's tables that have it."""
+    """Check that the grade table contains a grade; the error message names tables of the package that do."""
     whole = isinstance(grade, Integral) and not isinstance(grade, bool)
     if whole and grade in distributions.grades.grades:
         return
@@ -154,7 +155,7 @@ def _require_grade(distributions: KneeDistributions, grade: int, tables_with_gra
 def sample_knee_from_distributions(
     distributions: KneeDistributions, *, grade: int, rng: np.random.Generator, **fixed: Any
 ) -> Knee:
-    """Sample a knee as `sample_knee` does, from distributions that are already loaded.
+    """Sample a knee from loaded distributions, as in `sample_knee`.
 
     Parameters
     ----------
@@ -165,7 +166,7 @@ def sample_knee_from_distributions(
     rng : numpy.random.Generator
         Generator; the only source of randomness.
     **fixed : object
-        Fields of `Knee` to hold at a given value.
+        Fields of `Knee` with fixed values.
 
     Returns
     -------
@@ -196,13 +197,13 @@ def sample_knee_from_distributions(
             drawn[name] = _sample_uniform(rng, getattr(ranges, name))
     for name, bounds in law.pose.items():
         drawn[name] = _sample_uniform(rng, bounds)
-    # One number serves both seeds, since they seed independent things.
+    # Both seeds have the same value, because they seed independent random streams.
     drawn["texture_seed"] = drawn["form_seed"] = int(rng.spawn(1)[0].integers(2**63))
-    # The following uses child generators, so that it does not change the values sampled above.
+    # The following fields use child generators, so that they do not change the values sampled above.
     drawn |= _sample_bone_form(rng.spawn(1)[0], law, sex, distributions.mode_count)
     if isinstance(law, SeverityGradeTable):
         drawn |= sample_severity_fields(law, int(grade), sex, drawn["bone_scale"], rng.spawn(1)[0])
-        # A leg in varus leans more, which keeps its joint line level.
+        # A leg in varus leans more, which keeps the joint line horizontal.
         lean_deg = drawn["lean_deg"] + law.rest.lean_per_varus * drawn["varus_deg"]
         drawn["lean_deg"] = round(float(np.clip(lean_deg, -15.0, 15.0)), 4)
     elif ranges is not None:
@@ -221,7 +222,7 @@ def sample_knee_from_distributions(
 def _sample_skin_folds_and_hip_axis(
     law: SeverityGradeTable, bmi: float, sex: str, rng: np.random.Generator
 ) -> dict[str, float]:
-    """Sample the depth of skin folds and the mechanical axis of the femur, where the table defines them."""
+    """Sample the depth of skin folds and the femoral mechanical axis angle, if the table defines them."""
     sampled = {}
     if law.skin_folds is not None:
         most = np.interp(bmi, *np.array(law.skin_folds.max_depth_by_bmi).T)
@@ -233,7 +234,7 @@ def _sample_skin_folds_and_hip_axis(
 
 
 def sample_knees(distributions: KneeDistributions, count: int, seed: int, **fixed: Any) -> list[Knee]:
-    """Sample knees that cycle through all grades of a table; knee k does not depend on `count`.
+    """Sample knees that cycle through all grades of a table.
 
     Parameters
     ----------
@@ -242,9 +243,9 @@ def sample_knees(distributions: KneeDistributions, count: int, seed: int, **fixe
     count : int
         Number of knees.
     seed : int
-        Seed; each knee has its own stream below it.
+        Seed. The random stream of knee k depends only on the seed and k.
     **fixed : object
-        Fields of `Knee` to hold at a given value.
+        Fields of `Knee` with fixed values.
 
     Returns
     -------
@@ -270,7 +271,7 @@ def sample_knees(distributions: KneeDistributions, count: int, seed: int, **fixe
 def sample_knee_pair(
     *, grade: int, rng: RNGLike, grade_table: str = DEFAULT_GRADE_TABLE, **fixed: Any
 ) -> tuple[Knee, Knee]:
-    """Sample the right and the left knee of a person, both of one KL grade, with one body.
+    """Sample the right and the left knee of a person, with the same KL grade.
 
     Parameters
     ----------
@@ -281,7 +282,7 @@ def sample_knee_pair(
     grade_table : str, default "population"
         Grade table, as in `sample_knee`.
     **fixed : object
-        Fields of `Knee` to hold at a given value in both knees, except `side`.
+        Fields of `Knee` with fixed values in both knees; `side` is not allowed.
 
     Returns
     -------
@@ -323,7 +324,7 @@ def sample_knee_pair(
 def sample_shared_fields(
     distributions: KneeDistributions, *, grade: int, rng: np.random.Generator, **fixed: Any
 ) -> dict[str, Any]:
-    """Sample the fields that the two knees of a person share.
+    """Sample the fields that are equal in both knees of a person.
 
     Parameters
     ----------
@@ -332,9 +333,9 @@ def sample_shared_fields(
     grade : int
         KL grade of both knees.
     rng : numpy.random.Generator
-        Generator of the person's own stream.
+        Generator with the random stream of the person.
     **fixed : object
-        Fields of `Knee` to hold at a given value.
+        Fields of `Knee` with fixed values.
 
     Returns
     -------
@@ -351,7 +352,7 @@ def sample_shared_fields(
 
 
 def _compute_limb_sizes(bmi: float, sex: str, sampled: dict[str, Any], law: LimbStatistics) -> dict[str, float]:
-    """Compute BMI, limb thickness and fat: the mean at this BMI and sex plus the sampled deviation."""
+    """Compute limb and fat thickness: the mean for the BMI and sex plus the sampled deviation; return BMI too."""
     about = {name: limb.clip_to_range(limb.mean_at_bmi(bmi, sex) + sampled[name]) for name, limb in law.limb.items()}
     return {"bmi": bmi, **about}
 
@@ -368,7 +369,7 @@ def _sample_bone_form(
 
 
 def _sample_normal(rng: np.random.Generator, law: Pair | dict[str, Pair], sex: str) -> float:
-    """Sample a normal distribution (mean, SD), which may depend on sex, with limited scores."""
+    """Sample a normal distribution (mean, SD), which may depend on sex, clipped at 2 SD."""
     mean, sd = law[sex] if isinstance(law, dict) else law
     return round(mean + sd * min(_TRUNCATION_SD, max(-_TRUNCATION_SD, rng.standard_normal())), 4)
 
@@ -376,15 +377,15 @@ def _sample_normal(rng: np.random.Generator, law: Pair | dict[str, Pair], sex: s
 def _sample_osteophytes(
     rng: np.random.Generator, count_range: tuple[int, int], largest_range_mm: Pair
 ) -> tuple[Osteophyte, ...]:
-    """Sample the osteophytes of a table of ranges; the first one is the largest."""
+    """Sample osteophytes from a range of counts and a range of sizes; the first osteophyte is the largest."""
     count = int(rng.integers(count_range[0], count_range[1] + 1))
     largest = _sample_uniform(rng, largest_range_mm)
     sites = rng.permutation(len(MARGIN_AND_SPINE_SITES))
     shares = rng.uniform(0.3, 1.0, len(MARGIN_AND_SPINE_SITES))
     shares[0] = 1.0
     sized = [(MARGIN_AND_SPINE_SITES[sites[i]], round(largest * float(shares[i]), 4)) for i in range(count)]
-    # Osteophytes below 0.2 mm are left out: they cannot be distinguished from the natural rounding of the margin, nor
-    # seen in a pixel of 0.15 mm.
+    # Osteophytes below 0.2 mm are dropped. They cannot be distinguished from the natural rounding of the margin, and a
+    # pixel of 0.15 mm does not show them.
     return tuple(Osteophyte(site=site, size_mm=size) for site, size in sized if size >= 0.2)
 
 

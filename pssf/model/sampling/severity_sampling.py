@@ -1,4 +1,4 @@
-"""Sample the fields of a knee that depend on its KL grade; one latent severity correlates them."""
+"""Sample the fields of a knee that depend on its KL grade; a latent severity makes them correlate."""
 
 from functools import cache
 from typing import Any
@@ -12,10 +12,10 @@ from ...data.table_records import Pair
 from ..knee import Osteophyte, other_compartment
 from .advanced_osteoarthritis import correlated_score, sample_advanced_fields, sample_central_osteophytes
 
-# Standard scores are limited to this number of standard deviations.
+# Number of standard deviations to which standard scores are clipped.
 _TRUNCATION_SD = 2.5
-# Smallest osteophyte, in mm: smaller ones cannot be distinguished from the natural rounding of the margin, nor seen in
-# a pixel of 0.15 mm.
+# Smallest osteophyte, in mm. Smaller ones cannot be distinguished from the natural rounding of the margin, and a pixel
+# of 0.15 mm does not show them.
 _MIN_OSTEOPHYTE_MM = 0.2
 
 
@@ -35,13 +35,13 @@ def sample_severity_fields(
     bone_scale : float
         Sampled size of the bones; it is multiplied by the factor of the grade.
     rng : numpy.random.Generator
-        Generator of a stream that nothing else uses.
+        Generator with its own random stream.
 
     Returns
     -------
     dict of str to object
         Fields of a `Knee`: joint spaces and their definition, subchondral bone plate, varus, age, bone scale,
-        osteophytes, grade of a reader, and the fields of `sample_advanced_fields`.
+        osteophytes, reader grade, and the fields of `sample_advanced_fields`.
     """
     severity = _truncate(rng.standard_normal())
     narrowed, other = ("medial", "lateral") if rng.random() < table.side.medial else ("lateral", "medial")
@@ -69,9 +69,9 @@ def sample_severity_fields(
 def _sample_joint_spaces_mm(
     table: SeverityGradeTable, grade: int, sex: str, narrowed_side: str, severity: float, rng: np.random.Generator
 ) -> list[float]:
-    """Sample the joint spaces, in mm: of the compartment that narrows, then of the other one.
+    """Sample the joint space widths in mm, first of the compartment that narrows, then of the other compartment.
 
-    Both correlate with each other, and from KL 2 on the first one correlates with severity.
+    The two widths correlate with each other. From KL 2 on, the first width also correlates with severity.
     """
     laws = getattr(table.spaces, narrowed_side)[str(grade)]
     one, other = rng.standard_normal(2)
@@ -79,7 +79,8 @@ def _sample_joint_spaces_mm(
     scores = [one, together * one + np.sqrt(1 - together**2) * other]
     with_severity = table.side.severity_correlation if grade >= 2 else 0.0
     scores[0] = correlated_score(-severity, with_severity, scores[0])
-    # The difference between the sexes is centred: the mean over as many men as women is that of the table.
+    # Half of the sex difference is added for men and subtracted for women, so that the table gives the mean of both
+    # sexes.
     more = table.spaces.male_excess_mm * (0.5 if sex == "male" else -0.5)
     within = []
     for (mean, sd), score in zip(laws, scores, strict=True):
@@ -91,7 +92,7 @@ def _sample_joint_spaces_mm(
 def _sample_osteophytes(
     table: SeverityGradeTable, grade: int, narrowed_side: str, severity: float, rng: np.random.Generator
 ) -> tuple[Osteophyte, ...]:
-    """Sample the osteophytes at margins and spines, with their sizes, positions and curvatures."""
+    """Sample the osteophytes at joint margins and tibial spines, with sizes, positions and curvatures."""
     law = table.osteophytes
     oarsi = _sample_oarsi_grades(law, grade, narrowed_side, table.side.severity_correlation * severity, rng)
     sizes = {}
@@ -125,7 +126,7 @@ def _sample_curve_deg(law: OsteophyteDistributions, site: str, rng: np.random.Ge
 def _sample_adjacent_osteophytes(
     law: AccompanyingOsteophytes, site: str, size_mm: float, rng: np.random.Generator
 ) -> list[tuple[str, float, float]]:
-    """Sample further osteophytes in front of and behind one at the same margin: site, size (mm) and place."""
+    """Sample osteophytes in front of and behind a given one at the same margin; return site, size (mm) and place."""
     beside = []
     for end in (-1.0, 1.0):
         there, share, place = rng.random() < law.share, rng.uniform(*law.size), rng.uniform(*law.place)
@@ -137,7 +138,7 @@ def _sample_adjacent_osteophytes(
 def _sample_oarsi_grades(
     law: OsteophyteDistributions, grade: int, narrowed_side: str, severity: float, rng: np.random.Generator
 ) -> dict[str, int]:
-    """Sample the OARSI grade of the osteophyte at each site, within the definition of the KL grade."""
+    """Sample the OARSI grade of the osteophyte at each site, consistent with the definition of the KL grade."""
     person = law.person_sd * rng.standard_normal() + severity
     latent = {}
     for site, offset in law.site.items():
@@ -151,14 +152,14 @@ def _sample_oarsi_grades(
 
 
 def sample_reader_grade(grade: int, kappa: float, grade_count: int, rng: np.random.Generator) -> int:
-    """Sample the KL grade that a reader gives: the true grade or a neighbouring one.
+    """Sample the KL grade that a reader gives: the true grade or an adjacent grade.
 
     Parameters
     ----------
     grade : int
         True KL grade.
     kappa : float
-        Unweighted Cohen's kappa between read and true grades if all grades are equally frequent.
+        Unweighted Cohen's kappa between reader and true grades, for equally frequent grades.
     grade_count : int
         Number of grades.
     rng : numpy.random.Generator
@@ -174,9 +175,9 @@ def sample_reader_grade(grade: int, kappa: float, grade_count: int, rng: np.rand
     )
 
 
-@cache  # All knees of a table have the same reader.
+@cache  # The reader is the same for all knees of a table.
 def _solve_misread_fraction(kappa: float, grade_count: int) -> float:
-    """Solve for the fraction of knees that must be read as a neighbouring grade to give this kappa."""
+    """Find the fraction of knees with an adjacent reader grade that gives the requested kappa."""
     return (
         float(brentq(lambda share: _kappa(_confusion_matrix(share, grade_count)) - kappa, 0.0, 1.0))
         if kappa < 1
@@ -185,7 +186,7 @@ def _solve_misread_fraction(kappa: float, grade_count: int) -> float:
 
 
 def _confusion_matrix(misread_fraction: float, grade_count: int) -> Array:
-    """Compute the probability of each grade read (columns) per true grade (rows), shape (grades, grades)."""
+    """Compute the probability of each reader grade (columns) for each true grade (rows), shape (grades, grades)."""
     table = np.eye(grade_count) * (1 - misread_fraction)
     for grade in range(grade_count):
         beside = [other for other in (grade - 1, grade + 1) if 0 <= other < grade_count]
@@ -194,24 +195,24 @@ def _confusion_matrix(misread_fraction: float, grade_count: int) -> Array:
 
 
 def _kappa(confusion: Array) -> float:
-    """Compute Cohen's kappa of a confusion matrix of probabilities whose rows are equally frequent."""
+    """Compute Cohen's kappa of a confusion matrix of probabilities, for equally frequent true grades (rows)."""
     joint = confusion / len(confusion)
     by_chance = float(joint.sum(axis=0) @ joint.sum(axis=1))
     return (float(np.trace(joint)) - by_chance) / (1 - by_chance)
 
 
 def _sample_with_severity(severity: float, table: SeverityGradeTable, law: Pair, rng: np.random.Generator) -> float:
-    """Sample a normal distribution (mean, SD) with a positive correlation to the severity."""
+    """Sample a normal distribution (mean, SD) that correlates with the severity."""
     return law[0] + law[1] * _truncate(
         correlated_score(severity, table.side.severity_correlation, rng.standard_normal())
     )
 
 
 def _sample_normal(law: Pair, rng: np.random.Generator) -> float:
-    """Sample a normal distribution (mean, SD) with limited scores."""
+    """Sample a normal distribution (mean, SD), clipped at 2.5 SD."""
     return law[0] + law[1] * _truncate(rng.standard_normal())
 
 
 def _truncate(score: float) -> float:
-    """Limit a standard score to 2.5 standard deviations."""
+    """Clip a standard score to 2.5 standard deviations."""
     return float(np.clip(score, -_TRUNCATION_SD, _TRUNCATION_SD))

@@ -1,1 +1,1 @@
-"""Comparison of bones: registration, surface distances, measures of form, and figures."""
+"""Comparison of simulated with patient bones: registration, surface distances, bone shape and figures."""

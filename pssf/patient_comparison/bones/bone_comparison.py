@@ -1,4 +1,4 @@
-"""Comparison of built and sampled bones with patient bones: distance of the means, and spread about them."""
+"""Comparison of simulated with patient bones: distance between mean bones, and spread about each mean."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,29 +30,29 @@ from .surface_distance import SampledSurface, measure_surface_distance, sample_s
 
 Row = dict[str, Any]
 Bones = Mapping[str, Sequence[Mesh]]
-# Number of iterations of a mean bone.
+# Number of alignment iterations when a mean bone is computed.
 _MEAN_ITERATIONS = 3
-# Distance at the ends of the colour scale, in mm.
+# Distance at the ends of the colour scale of the figure, in mm.
 _COLOUR_LIMIT_MM = 6.0
-# Length of the femoral end, in mm, whose largest width is that of the epicondyles.
+# Length of the distal femur within which the epicondylar width is measured, in mm.
 _FEMUR_END_MM = 45.0
 _GIVEN = "patient bones to their mean"
 _DRAWN = "sampled bones to built mean"
 _COLUMNS = (
-    "bone", "what", "bones", "rms_mm", "p99_mm", "mean_mm", "scale", "rms_least_mm", "rms_most_mm", "scale_sd",
+    "bone", "comparison", "bones", "rms_mm", "p99_mm", "mean_mm", "scale", "rms_min_mm", "rms_max_mm", "scale_sd",
 )  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _BoneGroup:
-    """Bones of several knees, and the mean surfaces from which they deviate."""
+    """Bones of several knees by name, and the mean surface of each bone."""
 
     bones: Bones
     mean_surfaces: Mapping[str, SampledSurface]
 
 
 class _BoneDeviation(NamedTuple):
-    """Deviation of a bone from its mean: RMS in mm, 99th percentile in mm, and scale; and its measures of form."""
+    """RMS distance (mm), 99th percentile (mm) and scale of a bone relative to the mean bone; shape measures."""
 
     rms_p99_scale: tuple[float, float, float]
     bone_measures: dict[str, float]
@@ -65,14 +65,15 @@ class BoneComparison:
     Attributes
     ----------
     rows : list of dict
-        Distances in mm. Rows of means also hold ``mean_mm`` (positive: the built bone is outside) and ``scale``
-        (patient size over built size). Rows of spreads also hold the least and largest RMS of a bone, and ``scale_sd``.
+        Table rows with surface distances in mm. Rows that compare mean bones have ``mean_mm`` (positive: the built
+        bone is outside) and ``scale`` (patient size divided by built size). Rows that report the spread of several
+        bones have the lowest and highest RMS distance of a bone, and ``scale_sd``.
     measure_rows : list of dict
-        Measures of form, from ``compare_bone_measures``, for bones with two or more patient and sampled specimens.
+        Shape measures from ``compare_bone_measures``, for bones with two or more patient and two or more sampled bones.
     fits : dict of str to BoneFit
-        Registration of each built mean bone to the patient mean.
+        Registration of each built mean bone to the mean patient bone, by bone name.
     figure : bytes
-        PNG of the built mean bones, coloured by the distance from the patient mean.
+        PNG image of the built mean bones, coloured by the distance from the mean patient bone.
     """
 
     rows: list[Row]
@@ -82,7 +83,7 @@ class BoneComparison:
 
 
 def build_bones(knee: Knee, tables: AnatomyTables) -> dict[str, Mesh]:
-    """Build femur, tibia and patella of a right knee without osteophytes, each in its own frame.
+    """Build femur, tibia and patella of a right knee without osteophytes, each in the frame of the bone.
 
     Parameters
     ----------
@@ -108,12 +109,12 @@ def build_bones(knee: Knee, tables: AnatomyTables) -> dict[str, Mesh]:
 def sample_bones(
     laws: KneeDistributions, tables: AnatomyTables, count: int, seed: int, workers: int = 1
 ) -> dict[str, list[Mesh]]:
-    """Sample knees and build their bones without osteophytes; knee k is the same for any count.
+    """Sample knees and build their bones without osteophytes; knee k does not depend on `count`.
 
     Parameters
     ----------
     laws : KneeDistributions
-        Distributions of knees; grades are used in turn.
+        Distributions of knees; the grades are assigned to the knees cyclically.
     tables : AnatomyTables
         Anatomy tables.
     count : int
@@ -140,14 +141,14 @@ def sample_bones(
 
 
 def compute_mean_bone(meshes: Sequence[Mesh], bone: str) -> Mesh:
-    """Compute the mean shape of bones at their mean size, in the frame of the first bone.
+    """Compute the mean of several bones at their mean size, in the frame of the first bone.
 
     Parameters
     ----------
     meshes : sequence of Mesh
         Bones, in mm.
     bone : {"femur", "tibia", "patella"}
-        Kind of bone.
+        Bone type.
 
     Returns
     -------
@@ -157,11 +158,11 @@ def compute_mean_bone(meshes: Sequence[Mesh], bone: str) -> Mesh:
     Raises
     ------
     InputError
-        There is no bone.
+        `meshes` is empty.
 
     Notes
     -----
-    Vertices in correspondence (equal faces in all meshes) are averaged after generalised Procrustes alignment (Gower
+    If all meshes have the same faces, corresponding vertices are averaged after generalised Procrustes alignment (Gower
     1975). Otherwise each vertex of the first bone is moved to the mean of the nearest points on all bones.
     """
     if not meshes:
@@ -173,7 +174,7 @@ def compute_mean_bone(meshes: Sequence[Mesh], bone: str) -> Mesh:
 
 
 def compare_bones(patient_bones: Bones, built: Mapping[str, Mesh], drawn: Bones, workers: int = 1) -> BoneComparison:
-    """Compare built mean and sampled bones with patient bones, for every kind of bone that is given.
+    """Compare the built mean bones and the sampled bones with patient bones, for each bone type.
 
     Parameters
     ----------
@@ -189,23 +190,25 @@ def compare_bones(patient_bones: Bones, built: Mapping[str, Mesh], drawn: Bones,
     Returns
     -------
     BoneComparison
-        Distances, measures of form, registrations and figure.
+        Distances, shape measures, registrations and figure.
 
     Raises
     ------
     InputError
-        `patient_bones` holds no known bone.
+        `patient_bones` contains no femur, tibia or patella.
 
     Notes
     -----
-    Distances are measured from surface to surface in both directions after a similarity fit, in mm at the mean size of
-    the patient bones. The flat cut of a shaft is excluded. Spread is the distance of each bone from the mean of its
-    group: patient bones from the patient mean, sampled bones from the built mean. Measures of form are taken after
+    Distances are measured between the surfaces in both directions after similarity registration, in mm at the mean size
+    of the patient bones. The flat cut of a shaft is excluded. Spread is the distance of each bone from a mean bone:
+    patient bones from the mean patient bone, sampled bones from the built mean bone. Shape measures are computed after
     registration to the built mean bone.
     """
     names = [name for name in BONES if patient_bones.get(name)]
     if not names:
-        raise InputError(f"bones must include some of {', '.join(BONES)}, got {', '.join(patient_bones) or 'none'}")
+        raise InputError(
+            f"bones must include one or more of {', '.join(BONES)}, got {', '.join(patient_bones) or 'none'}"
+        )
     means = {name: sample_surface(compute_mean_bone(patient_bones[name], name)) for name in names}
     fits = {name: fit_bone(built[name], means[name], name) for name in names}
     sized = {name: sample_surface(_scale_built_bone(built[name], fits[name], name)) for name in names}
@@ -222,7 +225,7 @@ def compare_bones(patient_bones: Bones, built: Mapping[str, Mesh], drawn: Bones,
         of = {what: [one for one, task in zip(each, tasks, strict=True) if task[:2] == (what, name)] for what in kinds}
         rows.append(_make_mean_row(name, len(patient_bones[name]), sized[name], means[name], fits[name]))
         several = {what: bones for what, bones in of.items() if len(bones) > 1}
-        rows += [{"bone": name, "what": what} | _make_spread_row(bones) for what, bones in several.items()]
+        rows += [{"bone": name, "comparison": what} | _make_spread_row(bones) for what, bones in several.items()]
         if several.keys() == kinds.keys():
             forms += compare_bone_measures(
                 name, [one.bone_measures for one in of[_GIVEN]], [one.bone_measures for one in of[_DRAWN]]
@@ -242,39 +245,39 @@ def compare_bones(patient_bones: Bones, built: Mapping[str, Mesh], drawn: Bones,
 
 
 def _scale_built_bone(built: Mesh, fit: BoneFit, name: str) -> Mesh:
-    """Register a built bone to the size and pose of the patient mean."""
+    """Transform a built bone near its joint to the size and pose of the mean patient bone."""
     near = crop_near_joint(built, name)
     return Mesh(fit.fit.apply(near.vertices), near.faces)
 
 
 def _make_mean_row(name: str, count: int, built: SampledSurface, patient_mean: SampledSurface, fit: BoneFit) -> Row:
-    """Make the row with the distance of the built mean from the patient mean."""
+    """Make the table row with the distance between the built mean bone and the mean patient bone."""
     both = measure_surface_distance(built, patient_mean, heights_mm=fit.heights_mm)
-    row = {"bone": name, "what": "built mean to patient mean", "bones": count, "rms_mm": both.rms_mm}
+    row = {"bone": name, "comparison": "built mean to patient mean", "bones": count, "rms_mm": both.rms_mm}
     return row | {"p99_mm": both.p99_mm, "mean_mm": both.mean_mm, "scale": fit.fit.scale}
 
 
 def _make_spread_row(bones: Sequence[_BoneDeviation]) -> Row:
-    """Make the row with the spread of several bones about their mean."""
+    """Make the table row with the spread of several bones about a mean bone."""
     rms, p99, scale = np.array([bone.rms_p99_scale for bone in bones]).T
     return {
         "bones": len(bones),
         "rms_mm": float(np.sqrt((rms**2).mean())),
         "p99_mm": float(np.sqrt((p99**2).mean())),
-        "rms_least_mm": float(rms.min()),
-        "rms_most_mm": float(rms.max()),
+        "rms_min_mm": float(rms.min()),
+        "rms_max_mm": float(rms.max()),
         "scale_sd": float(np.std(1 / scale, ddof=1) / np.mean(1 / scale)),
     }
 
 
 def _patella_to_femur_width_ratios(bones: Bones) -> list[dict[str, float]]:
-    """Compute the ratio of patellar to femoral width of each knee; both lists have the same order."""
+    """Compute the ratio of patellar to femoral width of each knee; the two bone lists have the same order of knees."""
     return [{"patella's width over the femur's": _width_mm(patella) / _width_mm(femur, _FEMUR_END_MM)}
             for femur, patella in zip(bones["femur"], bones["patella"], strict=True)]  # fmt: skip
 
 
 def _width_mm(bone: Mesh, low_mm: float = np.inf) -> float:
-    """Measure the width of a bone below a height above its lowest point, in mm."""
+    """Measure the width of a bone within `low_mm` of its lowest point, in mm."""
     height = bone.vertices[:, 2] - bone.vertices[:, 2].min()
     return float(np.ptp(bone.vertices[height < low_mm, 0]))
 
@@ -284,7 +287,7 @@ def _measure_deviation(
     centres: Mapping[tuple[str, str], SampledSurface],
     models: Mapping[str, SampledSurface],
 ) -> _BoneDeviation:
-    """Measure the deviation of one bone from its mean, and its form."""
+    """Measure the deviation of one bone from the mean bone, and the shape measures of the bone."""
     what, name, bone = task
     surface, centre = sample_surface(crop_near_joint(bone, name)), centres[what, name]
     fit = register_bone(surface, centre, name)
@@ -293,20 +296,20 @@ def _measure_deviation(
 
 
 def _procrustes_mean(meshes: Sequence[Mesh]) -> Array:
-    """Average vertices in correspondence, (v, 3), in mm."""
+    """Average corresponding vertices of all meshes; return (v, 3) vertices in mm."""
     mean = np.array(meshes[0].vertices, np.float64)
     for _ in range(_MEAN_ITERATIONS):
         moves = [trimesh.registration.procrustes(mesh.vertices, mean, reflection=False)[:2] for mesh in meshes]
         scales = [np.cbrt(np.linalg.det(matrix[:3, :3])) for matrix, _ in moves]
         average = np.mean([moved for _, moved in moves], axis=0)
-        # Sizes are averaged too; Procrustes alignment alone would keep the size of the first bone.
+        # The sizes of the bones are averaged too, because Procrustes alignment alone keeps the size of the first bone.
         middle = average.mean(axis=0)
         mean = middle + (average - middle) / np.exp(np.mean(np.log(scales)))
     return mean
 
 
 def _nearest_point_mean(meshes: Sequence[Mesh], bone: str) -> Array:
-    """Move each vertex of the first bone to the mean of the nearest points on all bones, (v, 3), in mm."""
+    """Move each vertex of the first bone to the mean of the nearest points on all bones; return (v, 3) array in mm."""
     mean = np.array(meshes[0].vertices, np.float64)
     surfaces = [sample_surface(mesh) for mesh in meshes]
     for _ in range(_MEAN_ITERATIONS - 1):

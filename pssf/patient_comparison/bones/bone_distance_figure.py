@@ -1,4 +1,4 @@
-"""Figure of built mean bones, coloured by the distance from the mean of patient bones."""
+"""Figure of built mean bones, coloured by the distance from the mean patient bone."""
 
 import io
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from ...core.checks import Array
 from ...geometry.mesh import Mesh
 
-# Title, upward direction and direction towards the viewer of each view; x medial, y posterior, z proximal.
+# Upward direction and direction towards the viewer, by title of the view; axes are x medial, y posterior, z proximal.
 _VIEWS = {
     "anterior view": ((0, 0, 1), (0, -1, 0)),
     "posterior view": ((0, 0, 1), (0, 1, 0)),
@@ -23,12 +23,12 @@ _UPPER_END_VIEW = ((0, -1, 0), (0, 0, 1))
 
 
 def plot_bone_distances(bones: Mapping[str, tuple[Mesh, Array]], limit_mm: float) -> bytes:
-    """Plot bones from four sides, coloured by distance.
+    """Plot each bone in four views, coloured by distance.
 
     Parameters
     ----------
     bones : mapping of str to tuple of (Mesh, (n,) array)
-        Mesh of each bone, in mm, and the signed distance of its vertices, in mm; positive values are outside.
+        Mesh in mm and signed vertex distances from the mean patient bone in mm (positive outside), by bone name.
     limit_mm : float
         Distance at the ends of the colour scale, in mm.
 
@@ -58,14 +58,14 @@ def plot_bone_distances(bones: Mapping[str, tuple[Mesh, Array]], limit_mm: float
 
 
 def make_visible_triangles(mesh: Mesh, off_mm: Array, view_axes: Array, colours: ScalarMappable) -> PolyCollection:
-    """Make a collection of the triangles that face the viewer, sorted from far to near and shaded by their orientation.
+    """Make a collection of the triangles that face the viewer, sorted from far to near and shaded by orientation.
 
     Parameters
     ----------
     mesh : Mesh
         Mesh, in mm.
     off_mm : (n,) array
-        Distance of each vertex, in mm, which is shown as colour.
+        Distance of each vertex in mm, displayed as colour.
     view_axes : (3, 3) array, unit vectors
         Directions to the right, upwards and towards the viewer.
     colours : matplotlib.cm.ScalarMappable

@@ -1,4 +1,4 @@
-"""Measures of form of patient bones and sampled bones, in one frame and at one size."""
+"""Shape measures of patient bones and sampled bones, in a common frame and at a common size."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -16,21 +16,21 @@ Row = dict[str, Any]
 
 
 def measure_bone(surface: SampledSurface, model: SampledSurface, bone: str) -> dict[str, float]:
-    """Measure the form of a bone after registration to a model by a similarity, which removes size and pose.
+    """Compute shape measures of a bone after similarity registration to a model bone, which removes size and pose.
 
     Parameters
     ----------
     surface : SampledSurface
-        Bone near its joint, see :func:`~pssf.patient_comparison.bones.bone_registration.crop_near_joint`.
+        Joint end of the bone, from :func:`~pssf.patient_comparison.bones.bone_registration.crop_near_joint`.
     model : SampledSurface
-        Model of the same kind of bone, near its joint.
+        Joint end of a model bone of the same type.
     bone : {"femur", "tibia", "patella"}
-        Kind of bone.
+        Bone type.
 
     Returns
     -------
     dict of str to float
-        Measures of form by name.
+        Shape measures by name.
     """
     fit, near = register_bone(surface, model, bone), surface.mesh
     laid = Mesh(fit.apply(near.vertices), near.faces)
@@ -40,16 +40,16 @@ def measure_bone(surface: SampledSurface, model: SampledSurface, bone: str) -> d
 def compare_bone_measures(
     bone: str, patient_values: Sequence[Mapping[str, float]], simulated_values: Sequence[Mapping[str, float]]
 ) -> list[Row]:
-    """Compare the measures of form of patient bones with those of sampled bones.
+    """Compare the shape measures of patient bones with those of sampled bones.
 
     Parameters
     ----------
     bone : {"femur", "tibia", "patella"}
-        Kind of bone.
+        Bone type.
     patient_values : sequence of mapping
-        Measures of each patient bone, of two or more bones.
+        Shape measures of each patient bone; at least two bones.
     simulated_values : sequence of mapping
-        Measures of each sampled bone, of two or more bones.
+        Shape measures of each sampled bone; at least two bones.
 
     Returns
     -------
@@ -64,30 +64,32 @@ def compare_bone_measures(
 
 
 def compare_samples(patient_values: Array, simulated_values: Array) -> Row:
-    """Compare mean and standard deviation of one measure between patients and simulated knees.
+    """Compare the mean and standard deviation of a measure between patients and simulated knees.
 
     Parameters
     ----------
     patient_values : (n,) array, any unit
-        Values of two or more patients.
+        Values of the measure for two or more patients.
     simulated_values : (m,) array, any unit
-        Values of two or more simulated knees.
+        Values of the measure for two or more simulated knees.
 
     Returns
     -------
     dict
-        Number, mean and standard deviation of patients (``given``, ``mean``, ``sd``) and of simulated knees
-        (``drawn``, ``drawn_mean``, ``drawn_sd``). ``off_sd`` is the simulated mean minus the patient mean, divided by
-        the standard deviation of patients. ``spread_ratio`` is the simulated standard deviation over that of patients.
+        Number, mean and standard deviation of patients (``patients``, ``patient_mean``, ``patient_sd``) and of
+        simulated knees (``simulated``, ``simulated_mean``, ``simulated_sd``). ``difference_sd`` is the simulated mean
+        minus the patient mean, divided by the standard deviation of patients. ``sd_ratio`` is the standard
+        deviation of simulated knees divided by that of patients.
     """
-    mean, sd, drawn_mean, drawn_sd = (
+    mean, sd, simulated_mean, simulated_sd = (
         patient_values.mean(),
         patient_values.std(ddof=1),
         simulated_values.mean(),
         simulated_values.std(ddof=1),
     )
     return {
-        "given": len(patient_values), "mean": float(mean), "sd": float(sd), "drawn": len(simulated_values),
-        "drawn_mean": float(drawn_mean), "drawn_sd": float(drawn_sd), "off_sd": float((drawn_mean - mean) / sd),
-        "spread_ratio": float(drawn_sd / sd),
+        "patients": len(patient_values), "patient_mean": float(mean), "patient_sd": float(sd),
+        "simulated": len(simulated_values), "simulated_mean": float(simulated_mean),
+        "simulated_sd": float(simulated_sd), "difference_sd": float((simulated_mean - mean) / sd),
+        "sd_ratio": float(simulated_sd / sd),
     }  # fmt: skip

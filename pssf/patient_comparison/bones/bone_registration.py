@@ -1,4 +1,4 @@
-"""Registration of one bone to another of its kind by the joint end, without the flat cut of the shaft."""
+"""Similarity registration of two bones of the same type by the end at the joint, without the flat cut of the shaft."""
 
 from dataclasses import dataclass
 
@@ -14,34 +14,34 @@ from .surface_distance import (
     trim_to_heights,
 )
 
-# Bones that are compared.
+# Bone types that are compared.
 BONES = ("femur", "tibia", "patella")
-# End of the bone with the joint: +1 proximal, -1 distal, 0 for a bone without a cut end.
+# End of each bone at the knee joint: +1 proximal, -1 distal; 0 for the patella, which has no cut shaft.
 _JOINT_END = {"femur": -1, "tibia": +1, "patella": 0}
-# Length of bone from the joint that is compared, in mm.
+# Distance from the joint end within which bones are compared, in mm.
 _REACH_MM = 100.0
-# Distance from the cut of the shaft, in mm, that is excluded, because the cut plane is no part of the bone.
+# Distance from the cut of the shaft that is excluded, in mm, because the cut plane is not a surface of the bone.
 _FROM_CUT_MM = 5.0
-# Length of the joint end from which the fit starts, in mm.
+# Length of the joint end whose bounding box gives the initial transform, in mm.
 _END_MM = 40.0
-# Length of bone from the joint that is kept, in mm, for bones of any size.
+# Distance from the joint end beyond which a bone is cropped, in mm; large enough for bones of any size.
 _KEPT_MM = 140.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoneFit:
-    """Built mean bone registered to the mean of the patient bones, at their size.
+    """Built mean bone registered to the mean patient bone.
 
     Attributes
     ----------
     placed_mesh : Mesh
-        Registered bone without the parts that are not compared, in mm.
+        Registered bone, trimmed to the compared heights, in mm.
     off_mm : (n,) array
-        Signed distance of its vertices from the patient mean, in mm; positive outside.
+        Signed distance of each vertex of `placed_mesh` from the mean patient bone, in mm; positive outside.
     fit : SimilarityTransform
-        Transform of the built bone.
+        Transform from the built bone to the mean patient bone.
     heights_mm : tuple of float
-        Heights between which the patient mean is compared, in mm.
+        Lower and upper height between which the bones are compared, in mm.
     """
 
     placed_mesh: Mesh
@@ -51,21 +51,21 @@ class BoneFit:
 
 
 def fit_bone(bone: Mesh, fixed: SampledSurface, name: str) -> BoneFit:
-    """Register one bone to another of its kind and measure the distances of its vertices.
+    """Register a bone to another bone of the same type and measure the distances of the vertices.
 
     Parameters
     ----------
     bone : Mesh
         Bone to register, in mm.
     fixed : SampledSurface
-        Bone to register to.
+        Bone to which the other bone is registered.
     name : {"femur", "tibia", "patella"}
-        Kind of bone, which defines the joint end.
+        Bone type, which defines the joint end.
 
     Returns
     -------
     BoneFit
-        Registered bone and distances.
+        Registered bone and signed distances.
     """
     heights, near = compared_heights_mm(fixed.mesh, name), crop_near_joint(bone, name)
     fit = register_bone(sample_surface(near), fixed, name)
@@ -77,21 +77,21 @@ def fit_bone(bone: Mesh, fixed: SampledSurface, name: str) -> BoneFit:
 
 
 def register_bone(moving: SampledSurface, fixed: SampledSurface, name: str) -> SimilarityTransform:
-    """Register a bone near its joint to another of its kind by a similarity transform.
+    """Register the joint end of a bone to another bone of the same type by a similarity transform.
 
     Parameters
     ----------
     moving : SampledSurface
         Bone to register.
     fixed : SampledSurface
-        Bone to register to.
+        Bone to which the other bone is registered.
     name : {"femur", "tibia", "patella"}
-        Kind of bone.
+        Bone type.
 
     Returns
     -------
     SimilarityTransform
-        Transform of the moving bone.
+        Transform from the moving to the fixed bone.
     """
     return fit_similarity(
         moving, fixed, _guess_similarity(moving.mesh, fixed.mesh, name), compared_heights_mm(fixed.mesh, name)
@@ -99,19 +99,19 @@ def register_bone(moving: SampledSurface, fixed: SampledSurface, name: str) -> S
 
 
 def compared_heights_mm(bone: Mesh, name: str) -> tuple[float, float]:
-    """Return the heights (z) between which a bone is compared: within 100 mm of the joint and 5 mm clear of a cut.
+    """Return the heights (z) between which a bone is compared: up to 100 mm from the joint, 5 mm away from a cut.
 
     Parameters
     ----------
     bone : Mesh
         Bone, in mm.
     name : {"femur", "tibia", "patella"}
-        Kind of bone.
+        Bone type.
 
     Returns
     -------
     tuple of float
-        Lower and upper height in mm; infinite where nothing is excluded.
+        Lower and upper height in mm; infinite at an end where nothing is excluded.
     """
     low, high = bone.vertices[:, 2].min(), bone.vertices[:, 2].max()
     if _JOINT_END[name] < 0:
@@ -122,19 +122,19 @@ def compared_heights_mm(bone: Mesh, name: str) -> tuple[float, float]:
 
 
 def crop_near_joint(bone: Mesh, name: str) -> Mesh:
-    """Remove the part of the shaft that is farther than 140 mm from the joint, to save time.
+    """Remove the shaft beyond 140 mm from the joint, to save computation time.
 
     Parameters
     ----------
     bone : Mesh
         Bone, in mm.
     name : {"femur", "tibia", "patella"}
-        Kind of bone.
+        Bone type.
 
     Returns
     -------
     Mesh
-        Bone near its joint.
+        Cropped bone.
     """
     low, high = bone.vertices[:, 2].min(), bone.vertices[:, 2].max()
     if not _JOINT_END[name] or high - low <= _KEPT_MM:
@@ -147,7 +147,7 @@ def crop_near_joint(bone: Mesh, name: str) -> Mesh:
 
 
 def _guess_similarity(bone: Mesh, fixed: Mesh, name: str) -> SimilarityTransform:
-    """Guess a similarity transform with equal width and position of the joint ends and without rotation."""
+    """Compute an initial similarity transform, without rotation, that matches width and position of the joint ends."""
     box, box_onto = _joint_end_box(bone, name), _joint_end_box(fixed, name)
     scale = float(np.ptp(box_onto[:, 0]) / np.ptp(box[:, 0]))
     middle, middle_onto = box.mean(axis=0), box_onto.mean(axis=0)
@@ -158,7 +158,7 @@ def _guess_similarity(bone: Mesh, fixed: Mesh, name: str) -> SimilarityTransform
 
 
 def _joint_end_box(mesh: Mesh, name: str) -> Array:
-    """Return the (2, 3) corners of the bounding box of a joint end, in mm."""
+    """Return the lower and upper corner, (2, 3), of the bounding box of a joint end, in mm."""
     points, end = mesh.vertices, _JOINT_END[name]
     if end:
         outward = points[:, 2] * end

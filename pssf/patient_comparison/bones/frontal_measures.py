@@ -1,6 +1,6 @@
-"""Measures of femur and tibia on the outline that a parallel frontal beam shows.
+"""Shape measures of femur and tibia on their frontal outline in parallel projection.
 
-Bones are in the frame of the template bone before posture is applied: x medial, y posterior, z proximal, in mm.
+Bones are in the frame of the template bone, before posture is applied: x medial, y posterior, z proximal, in mm.
 """
 
 import numpy as np
@@ -11,39 +11,39 @@ from ...core.checks import Array
 from ...geometry.mesh import Mesh
 from .shape_measures import femur_width_mm, is_between, tibia_width_mm
 
-# Distance between columns of an outline, in mm.
+# Distance between neighbouring columns of an outline, in mm.
 _PITCH_MM = 0.5
 # Number of columns on either side of the midline.
 _COLUMNS = 90
-# Posterior slope of the plateau, in degrees. The beam is parallel to the plateau of the tibia, and horizontal for the
-# femur.
+# Posterior slope of the tibial plateau, in degrees. The tibia is projected parallel to the plateau, and the femur
+# horizontally.
 _SLOPE_DEG = 5.0
-# Half width within which the roof of the notch is searched, in mm.
+# Distance from the midline within which the roof of the intercondylar notch is searched, in mm.
 _ROOF_MM = 7.0
-# Half width within which the spines are searched, in mm.
+# Distance from the midline within which the tibial spines are searched, in mm.
 _SPINES_MM = 15.0
-# Half width within which the eminence is searched, in mm.
+# Distance from the midline within which the eminence is searched, in mm.
 _EMINENCE_MM = 25.0
-# Distance range of the condyles from the midline, in mm.
+# Range of distances of the condyles from the midline, in mm.
 _CONDYLE_MM = (12.0, 32.0)
-# Distance range of the plateaus from the midline, in mm.
+# Range of distances of the plateaus from the midline, in mm.
 _PLATEAU_MM = (15.0, 30.0)
 
 
 def measure_front_view(bone: str, mesh: Mesh) -> dict[str, float]:
-    """Measure the frontal outline of one bone; there are no measures for a patella.
+    """Measure the frontal outline of a femur or tibia; a patella has no frontal measures.
 
     Parameters
     ----------
     bone : {"femur", "tibia", "patella"}
-        Kind of bone.
+        Bone type.
     mesh : Mesh
         Surface of the bone, in mm.
 
     Returns
     -------
     dict of str to float
-        Lengths as fractions of the width of the bone.
+        Lengths as fractions of the bone width; empty for a patella.
     """
     if bone == "femur":
         return _measure_femur(mesh)
@@ -80,7 +80,7 @@ def _measure_tibia(mesh: Mesh) -> dict[str, float]:
 def _project_outline(mesh: Mesh, slope_deg: float, end_sign: float) -> tuple[Array, Array]:
     """Project the distal (`end_sign` -1) or proximal (+1) outline of a bone.
 
-    `slope_deg` is the slope of the beam in degrees. Returns columns x (n,) and heights (n,), in mm.
+    `slope_deg` is the slope of the projection direction. Return column positions (n,) and heights (n,), in mm.
     """
     angle = np.deg2rad(slope_deg)
     height = np.cos(angle) * mesh.vertices[:, 2] + np.sin(angle) * mesh.vertices[:, 1]
@@ -90,7 +90,7 @@ def _project_outline(mesh: Mesh, slope_deg: float, end_sign: float) -> tuple[Arr
 
 
 def _run_length_around(x: Array, inside: np.ndarray, place: float) -> float:
-    """Measure the length of the run of columns inside that contains a position, in mm."""
+    """Measure the length of the interval of consecutive columns with `inside` true that contains `place`, in mm."""
     at = int(np.abs(x - place).argmin())
     outside = np.flatnonzero(~inside)
     low, high = outside[outside < at].max(initial=0), outside[outside > at].min(initial=len(x) - 1)

@@ -1,6 +1,6 @@
-"""Measures of form of femur, tibia and patella, after which shape modes are named.
+"""Shape measures of femur, tibia and patella; shape modes are named after these measures.
 
-Bones are in the frame of the template bone before posture is applied: x medial, y posterior, z proximal, in mm.
+Bones are in the frame of the template bone, before posture is applied: x medial, y posterior, z proximal, in mm.
 """
 
 from collections.abc import Callable
@@ -12,39 +12,39 @@ from ...core.checks import Array
 from ...geometry.mesh import Mesh
 
 _Mask = NDArray[np.bool_]
-# Side length of the cells over which plateau heights are averaged, in mm.
+# Edge length of the square cells over which plateau heights are averaged, in mm.
 _CELL_MM = 3.0
 
 
 def is_between(values: Array, low: float, high: float) -> _Mask:
-    """Report which values lie between two limits.
+    """Report which values are between two limits.
 
     Parameters
     ----------
     values : (n,) array, mm
-        Values.
+        Values to compare with the limits.
     low : float
-        Lower limit, in the same unit.
+        Lower limit in mm.
     high : float
-        Upper limit, in the same unit.
+        Upper limit in mm.
 
     Returns
     -------
     (n,) bool array
-        True between the limits.
+        True for values between the limits.
     """
     return (values > low) & (values < high)
 
 
 def _span(values: Array) -> float:
-    """Return the range of values."""
+    """Return the difference between the highest and the lowest value."""
     return float(np.ptp(values))
 
 
 def _cell_means(points: Array) -> tuple[Array, Array]:
-    """Average y and z of points (n, 3) over cells in x and y, so that a denser mesh has no more weight.
+    """Average y and z of points (n, 3) over square cells in x and y, so that mesh density has no effect.
 
-    Returns two arrays (m,), in mm.
+    Return the mean y and the mean z of m occupied cells, (m,) each, in mm.
     """
     cells = np.floor(points[:, :2] / _CELL_MM).astype(np.int64)
     _, number = np.unique(cells, axis=0, return_inverse=True)
@@ -100,7 +100,7 @@ def _crop_tibia_end(points: Array) -> Array:
 
 
 def measure_femur(points: Array) -> dict[str, float]:
-    """Measure the form of a distal femur.
+    """Compute shape measures of a distal femur.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def measure_femur(points: Array) -> dict[str, float]:
 
 
 def measure_tibia(points: Array) -> dict[str, float]:
-    """Measure the form of a proximal tibia.
+    """Compute shape measures of a proximal tibia.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def measure_tibia(points: Array) -> dict[str, float]:
 
 
 def measure_patella(points: Array) -> dict[str, float]:
-    """Measure the form of a patella.
+    """Compute shape measures of a patella.
 
     Parameters
     ----------
@@ -205,17 +205,17 @@ _MEASURES_BY_BONE: dict[str, Callable[[Array], dict[str, float]]] = {
 
 
 def measure_bones(bones: dict[str, Mesh]) -> dict[str, float]:
-    """Measure the form of all bones of one knee.
+    """Compute shape measures of all bones of a knee.
 
     Parameters
     ----------
     bones : dict of str to Mesh
-        Bones by name.
+        Bones by name, in mm.
 
     Returns
     -------
     dict of str to float
-        Lengths as fractions of the width of the bone, and angles in degrees.
+        Lengths as fractions of the bone width, and angles in degrees.
     """
     return {
         what: value for name, bone in bones.items() for what, value in _MEASURES_BY_BONE[name](bone.vertices).items()
@@ -223,5 +223,5 @@ def measure_bones(bones: dict[str, Mesh]) -> dict[str, float]:
 
 
 def _box_centre(points: Array) -> Array:
-    """Return the centre of the bounding box."""
+    """Return the centre of the bounding box of points."""
     return (points.min(axis=0) + points.max(axis=0)) / 2

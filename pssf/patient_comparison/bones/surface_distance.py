@@ -1,4 +1,4 @@
-"""Distances between two closed surfaces, and the similarity transform that registers one to the other."""
+"""Distances between two surfaces, and the similarity transform that registers one surface to the other."""
 
 from dataclasses import dataclass
 
@@ -11,26 +11,26 @@ from scipy.spatial.transform import Rotation
 from ...core.checks import Array, InputError
 from ...geometry.mesh import Mesh
 
-# Number of points by which a surface is measured.
+# Number of points per surface for distance measurement.
 POINTS = 4000
-# Number of points by which a surface is fitted.
+# Number of points per surface for registration.
 FIT_POINTS = 1000
-# Maximum edge length, in mm. With short edges the nearest triangle is among those with the nearest centres: on bones of
-# this package and of patients (Clouthier et al. 2019) the error is at most 0.012 mm, and 0.0004 mm RMS.
+# Maximum mesh edge length, in mm. With short edges, the nearest triangle is among those with the nearest centres. On
+# simulated and patient bones (Clouthier et al. 2019) the error is at most 0.012 mm, and 0.0004 mm RMS.
 _MAX_EDGE_MM = 3.0
-# Number of nearest triangle centres that are tested for each point.
+# Number of candidate triangles tested for each point: those with the nearest centres.
 _CANDIDATES = 8
 # Maximum number of Gauss-Newton steps.
 _STEPS = 40
-# A fit ends when a step moves the points less than this, in mm RMS.
+# Registration ends when a step moves the points less than this RMS displacement, in mm.
 _STILL_MM = 2e-3
-# Points closer than this, in mm, coincide; the surface normal then replaces the direction between them.
+# Point pairs closer than this distance, in mm, coincide; the surface normal replaces the direction between them.
 _TOUCHING_MM = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimilarityTransform:
-    """Similarity transform: rotate, scale, then translate points, ``scale * points @ rotation.T + translation_mm``.
+    """Similarity transform of points: ``scale * points @ rotation.T + translation_mm``.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class SimilarityTransform:
         return np.asarray(self.scale * points_mm @ self.rotation.T + self.translation_mm)
 
     def apply_inverse(self, points_mm: Array) -> Array:
-        """Transform points by the inverse.
+        """Transform points by the inverse transform.
 
         Parameters
         ----------
@@ -89,9 +89,9 @@ class SampledSurface:
     mesh : Mesh
         Original mesh, in mm.
     points_mm : (n, 3) array
-        Points that are spread evenly over the surface, in mm.
+        Points sampled uniformly over the surface, in mm.
     triangles_mm : (m, 3, 3) array
-        Corners of its triangles after long edges are split, in mm.
+        Corners of the triangles of `mesh` after long edges are split, in mm.
     triangle_normals : (m, 3) array
         Unit normals of the triangles, dimensionless.
     tree : scipy.spatial.cKDTree
@@ -117,7 +117,7 @@ class SampledSurface:
         (n, 3) array
             Nearest points on the surface, in mm.
         (n, 3) array
-            Unit normals of the surface there.
+            Unit normals of the surface at the nearest points.
         """
         _, near = self.tree.query(points_mm, k=min(_CANDIDATES, len(self.triangles_mm)))
         near = near.reshape(len(points_mm), -1)
@@ -130,14 +130,14 @@ class SampledSurface:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SurfaceDistance:
-    """Distances between two surfaces in both directions.
+    """Distances between a moved and a fixed surface in both directions.
 
     Attributes
     ----------
     moved_points_mm : (n, 3) array
-        Points of the moved surface after its transform, in mm.
+        Points of the moved surface after transformation, in mm.
     forward_mm : (n,) array
-        Signed distances of these points from the fixed surface, in mm; positive outside it.
+        Signed distances of `moved_points_mm` from the fixed surface, in mm; positive outside the fixed surface.
     backward_mm : (m,) array
         Signed distances of points of the fixed surface from the moved surface, in mm; positive where the moved surface
         is outside the fixed one.
@@ -210,7 +210,7 @@ def sample_surface(mesh: Mesh, points: int = POINTS, seed: int = 0) -> SampledSu
 
 
 def trim_to_heights(mesh: Mesh, low_mm: float, high_mm: float) -> Mesh:
-    """Trim a mesh to a range of heights (z); it is open where it is cut.
+    """Trim a mesh to a range of heights (z); the trimmed mesh has open ends.
 
     Parameters
     ----------
@@ -229,7 +229,7 @@ def trim_to_heights(mesh: Mesh, low_mm: float, high_mm: float) -> Mesh:
     Raises
     ------
     InputError
-        No part of the mesh lies between the heights.
+        The mesh has no faces between the heights.
     """
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     for height, up in ((low_mm, 1.0), (high_mm, -1.0)):
@@ -251,20 +251,20 @@ def fit_similarity(
 ) -> SimilarityTransform:
     """Fit the similarity transform with the least squared distances between two surfaces, in both directions.
 
-    Distances are minimised by Gauss-Newton steps (after Fitzgibbon 2003) from a start that must be close.
+    Distances are minimised by Gauss-Newton steps (after Fitzgibbon 2003). The initial transform must be close.
 
     Parameters
     ----------
     moving : SampledSurface
         Surface to move.
     fixed : SampledSurface
-        Surface to fit to.
+        Surface to which `moving` is fitted.
     start : SimilarityTransform, default IDENTITY
-        Start of the fit.
+        Initial transform.
     heights_mm : tuple of float
-        Heights of `fixed` between which distances count, in mm.
+        Lower and upper height of `fixed` between which distances are minimised, in mm.
     points : int, default FIT_POINTS
-        Number of points of each surface.
+        Number of points per surface.
 
     Returns
     -------
@@ -307,13 +307,13 @@ def measure_surface_distance(
     Parameters
     ----------
     moving : SampledSurface
-        Surface that is moved by `fit`.
+        Surface transformed by `fit`.
     fixed : SampledSurface
         Fixed surface.
     fit : SimilarityTransform, default IDENTITY
         Transform of the moving surface.
     heights_mm : tuple of float
-        Heights of `fixed` between which points count, in mm.
+        Lower and upper height of `fixed` between which distances are measured, in mm.
 
     Returns
     -------
@@ -332,12 +332,12 @@ def measure_surface_distance(
 
 
 def _is_between_heights(points: Array, heights_mm: tuple[float, float]) -> NDArray[np.bool_]:
-    """Report which points (n, 3) lie between two heights."""
+    """Report which points (n, 3) are between two heights."""
     return (points[:, 2] > heights_mm[0]) & (points[:, 2] < heights_mm[1])
 
 
 def _signed_lengths(away: Array, normals: Array) -> Array:
-    """Compute the lengths (n,) of vectors (n, 3), with the sign of their component along normals (n, 3)."""
+    """Compute the signed lengths (n,) of vectors (n, 3); the sign is that of the component along the normals (n, 3)."""
     return np.linalg.norm(away, axis=1) * np.where((away * normals).sum(axis=1) < 0, -1.0, 1.0)
 
 
@@ -350,10 +350,10 @@ def _gauss_newton_step(
     away = wanted - moved
     off = np.linalg.norm(away, axis=1)
     apart = off > _TOUCHING_MM
-    # At an edge the direction to the nearest point differs from the normal of every triangle.
+    # At a mesh edge, the direction to the nearest point differs from the normals of both adjacent triangles.
     ways = np.where(apart[:, None], away / np.where(apart, off, 1.0)[:, None], normals)
     columns = np.column_stack((np.cross(arm, ways), ways, (arm * ways).sum(axis=1)))
-    # A symmetric part, such as a ball, has no unique pose; the minimum-norm solution leaves it in place.
+    # A symmetric surface, such as a sphere, has no unique pose; the minimum-norm solution does not rotate it.
     change = np.linalg.lstsq(columns, off, rcond=1e-6)[0]
     turn, scale = Rotation.from_rotvec(change[:3]).as_matrix(), float(np.exp(change[6]))
     shift = scale * (fit.translation_mm - middle) @ turn.T + middle + change[3:6]

@@ -1,1 +1,1 @@
-"""Comparison of contour landmarks with published landmarks of patients."""
+"""Comparison of contour landmarks of simulated knees with published landmarks of patients."""

@@ -11,14 +11,14 @@ from .landmark_comparison import LandmarkSample, convert_landmarks_to_mm
 
 
 def load_cohort_landmarks(cohort: Path, protocol: str) -> LandmarkSample:
-    """Load the landmark labels of every radiograph of a cohort under one protocol.
+    """Load the landmark labels of all radiographs of a cohort under one protocol.
 
     Parameters
     ----------
     cohort : Path
         Cohort folder.
     protocol : str
-        Name of the protocol in the manifest.
+        Name of the protocol, as in the manifest.
 
     Returns
     -------
@@ -28,7 +28,7 @@ def load_cohort_landmarks(cohort: Path, protocol: str) -> LandmarkSample:
     Raises
     ------
     InputError
-        The folder holds no complete cohort, has no such protocol, or a radiograph has no grade.
+        The folder contains no complete cohort or no radiograph under `protocol`, or a radiograph has no grade.
     """
     manifest = cohort / "manifest.csv"
     if not manifest.exists():

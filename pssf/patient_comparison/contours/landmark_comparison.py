@@ -1,7 +1,7 @@
-"""Comparison of contour landmarks of simulated knees with patients: means, spread, modes of variation and joint gaps.
+"""Comparison of contour landmarks between simulated knees and patients: mean, spread, variation modes, joint gaps.
 
-Landmarks are in the frame of ``data/landmarks.toml``: x from the lateral to the medial edge of the plateau, both edges
-at y = 0, as fractions of the plateau width. Gaps and width are in mm at the detector.
+Landmarks are in the frame of ``data/landmarks.toml``, as fractions of the plateau width. The x axis points from the
+lateral to the medial plateau edge, and both edges are at y = 0. Gaps and widths are in mm at the detector.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,28 +28,28 @@ from ..checkpoint import RowCallback, RowCheckpoint
 from . import landmark_figure
 
 Row = dict[str, Any]
-# Tolerance of a mean, in standard deviations of patients.
+# Maximum difference between the means of simulated knees and patients, in standard deviations of patients.
 MEAN_WITHIN_SD = 0.5
-# Tolerance of a standard deviation, as a ratio to that of patients.
+# Range of the standard deviation of simulated knees, divided by that of patients.
 SPREAD_WITHIN = (0.7, 1.4)
-# Landmarks that define the frame.
+# Landmarks that define the coordinate frame.
 EDGE_LANDMARKS = tuple(name for name in CONTOUR_LANDMARKS if name.endswith("_edge"))
-# Columns of a landmark table with one row per knee.
+# Columns of the landmark table, which has one row per knee.
 _COLUMNS = tuple(f"{name}_{axis}_mm" for name in CONTOUR_LANDMARKS for axis in "xy")
-# Tibial landmarks.
+# Indices of the tibial landmarks.
 _TIBIA = slice(0, 9)
-# Femoral landmarks.
+# Indices of the femoral landmarks.
 _FEMUR = slice(9, 16)
-# Positions at which the minimum gap is sought, as fractions of the femoral width from its edge.
+# Positions at which the minimum joint gap is searched, as fractions of the femoral width from the femoral edge.
 _GAP_FRACTIONS = np.linspace(0.1, 0.3, 81)
 _NAMED_GAP_FRACTIONS = {"0150": 0.15, "0200": 0.2, "0250": 0.25, "0300": 0.3}
-# Random stream of the acquisitions, besides the streams of `comparison_run`.
+# Key of the random stream for acquisitions, different from the keys in `comparison_run`.
 _ACQUISITION_STREAM = 303
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LandmarkSample:
-    """Contour landmarks of several knees.
+    """Contour landmarks and grades of several knees.
 
     Parameters
     ----------
@@ -65,26 +65,28 @@ class LandmarkSample:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ContourComparison:
-    """Result of :func:`compare_contours`, by grade.
+    """Result of :func:`compare_contours`.
 
     Attributes
     ----------
     landmarks : list of dict
-        One row per grade, landmark and axis: ``knees``, ``mean``, ``reference``, ``off_sd``, ``mean_inside``, ``sd``,
-        ``reference_sd``, ``spread_ratio`` and ``spread_inside``.
+        One row per grade, landmark and axis: ``knees``, ``simulated_mean``, ``patient_mean``,
+        ``difference_sd``, ``mean_inside``, ``simulated_sd``, ``patient_sd``, ``sd_ratio`` and ``sd_inside``.
     sizes : list of dict
-        The same columns for plateau width, gaps and convergence, with ``quantity`` instead of landmark and axis.
+        One row per grade and quantity (plateau width, gaps, convergence). The columns are those of `landmarks`, with
+        ``quantity`` instead of landmark and axis.
     gap_auc : list of dict
         AUC of the smaller minimum gap of each grade against grade 0, for simulated knees (``auc``, ``low``, ``high``)
-        and patients (``people``, ``people_low``, ``people_high``); empty without grade 0.
+        and patients (``patient_auc``, ``patient_auc_low``, ``patient_auc_high``); empty without grade 0.
     outside : list of dict
-        Number of landmark heights whose mean or standard deviation is outside its tolerance (``outside``), and total
-        number (``of``); plateau edges are not counted.
+        One row per grade: number of means and standard deviations of landmark heights outside tolerance
+        (``outside``), and their total number (``total``). Plateau edges are not counted.
     modes : list of dict
-        Modes of variation of grades 0 and 1: ``mode``, ``share_of_variance``, ``reference_share``, ``cosine``,
-        ``nearest``, ``nearest_cosine``, ``sd_along`` and ``reference_sd``; empty for fewer than three knees.
+        Modes of variation of grades 0 and 1: ``mode``, ``simulated_variance_fraction``,
+        ``patient_variance_fraction``, ``cosine``, ``nearest``, ``nearest_cosine``, ``simulated_sd`` and ``patient_sd``.
+        The two standard deviations are along the mode of patients. The list is empty for fewer than three knees.
     figure : bytes
-        PNG of mean contours with ellipses of one standard deviation.
+        PNG image of mean contours with ellipses of one standard deviation.
     """
 
     landmarks: list[Row]
@@ -103,16 +105,16 @@ def sample_acquisitions(
     Parameters
     ----------
     knees : sequence of Knee
-        Knees.
+        Knees to image.
     sample_protocol : callable
-        Function that samples a protocol with a generator `rng`.
+        Function that samples an acquisition with the random generator `rng`.
     seed : int
-        Seed of the acquisitions.
+        Seed of the random acquisitions.
 
     Returns
     -------
     list of tuple of (Knee, Protocol)
-        Each knee with its acquisition.
+        Each knee with the protocol of its acquisition.
     """
     takings = []
     for number, knee in enumerate(knees):
@@ -128,20 +130,20 @@ def compute_simulated_landmarks(
     workers: int = 1,
     checkpoint: RowCheckpoint | None = None,
 ) -> LandmarkSample:
-    """Compute the contour landmarks of right knees, each under its own protocol.
+    """Compute the contour landmarks of right knees, each under the protocol of its acquisition.
 
     Parameters
     ----------
     acquisitions : sequence of tuple of (Knee, Protocol)
-        Knees with their acquisitions.
+        Each knee with the protocol of its acquisition.
     tables : AnatomyTables
         Anatomy tables.
     defined_under : Protocol
-        Protocol in which joint space width is defined, see ``load_jsw_protocol``.
+        Protocol that defines joint space width, see ``load_jsw_protocol``.
     workers : int, default 1
         Number of worker processes.
     checkpoint : RowCheckpoint or None, default None
-        Landmarks of earlier runs; None computes all of them.
+        Checkpoint with landmarks of earlier runs; None computes the landmarks of all knees.
 
     Returns
     -------
@@ -171,7 +173,7 @@ def _make_landmark_row(places_mm: Array) -> Row:
 
 
 def _compute_landmarks(acquisition: tuple[Knee, Protocol], tables: AnatomyTables, defined_under: Protocol) -> Array:
-    """Compute the (16, 2) landmark labels of a right knee in mm, without building anything else."""
+    """Compute the (16, 2) landmark labels of a right knee in mm from its outer bone surfaces."""
     knee, protocol = acquisition
     assembly = assemble_knee(knee, resolve_bone_parameters(knee, tables), protocol.posture, defined_under)
     femur, tibia = (assembly.orient_mesh(mesh) for mesh in build_outer_meshes(assembly))
@@ -182,14 +184,14 @@ def _compute_landmarks(acquisition: tuple[Knee, Protocol], tables: AnatomyTables
 
 
 def convert_landmarks_to_mm(landmarks_px: dict[str, tuple[float, float]], side: str, pixel_mm: float) -> Array:
-    """Convert the contour landmarks of a radiograph to mm at the detector, with x medial and y proximal.
+    """Convert the contour landmarks of a radiograph to mm at the detector; x is medial, y is proximal.
 
     Parameters
     ----------
     landmarks_px : dict of str to tuple of float
         Row and column of each landmark, in px.
     side : {"right", "left"}
-        Side of the knee.
+        Left or right knee.
     pixel_mm : float
         Pixel pitch in mm.
 
@@ -221,7 +223,7 @@ def normalise_to_plateau(places_mm: Array) -> tuple[Array, Array]:
     Raises
     ------
     InputError
-        A plateau has no width.
+        The plateau width of a knee is 0.
     """
     lateral, medial = (places_mm[:, CONTOUR_LANDMARKS.index(f"tibia_{side}_edge")] for side in ("lateral", "medial"))
     across = medial - lateral
@@ -235,7 +237,7 @@ def normalise_to_plateau(places_mm: Array) -> tuple[Array, Array]:
 
 
 def measure_joint_sizes(places_mm: Array) -> dict[str, Array]:
-    """Measure plateau width, joint gaps and convergence of each knee.
+    """Measure plateau width, joint gaps and joint-line convergence of each knee.
 
     Parameters
     ----------
@@ -249,9 +251,10 @@ def measure_joint_sizes(places_mm: Array) -> dict[str, Array]:
 
     Notes
     -----
-    A gap is the distance between the straight lines through the landmarks, at a fraction of the femoral width from its
-    edge. The minimum gap is sought between 0.1 and 0.3. Convergence is the angle of the line through the condyles
-    against the line through the plateau edges; it is positive if the joint opens medially.
+    A joint gap is the vertical distance between the femoral and the tibial contour, which are interpolated linearly
+    between landmarks. The position of a gap is a fraction of the femoral width from the femoral edge. The minimum gap
+    is searched at fractions 0.1 to 0.3. Convergence is the angle between the line through the condyles and the line
+    through the plateau edges. It is positive if the joint opens medially.
     """
     shares, width = normalise_to_plateau(places_mm)
     sizes = {"plateau_width_mm": width}
@@ -270,7 +273,7 @@ def measure_joint_sizes(places_mm: Array) -> dict[str, Array]:
 
 
 def compare_contours(sample: LandmarkSample, reference: LandmarkReference) -> ContourComparison:
-    """Compare the landmarks of simulated knees with those of patients, for all grades that both have.
+    """Compare the landmarks of simulated knees with those of patients, for all grades present in both groups.
 
     Parameters
     ----------
@@ -282,19 +285,19 @@ def compare_contours(sample: LandmarkSample, reference: LandmarkReference) -> Co
     Returns
     -------
     ContourComparison
-        Rows and figure.
+        Table rows and figure.
 
     Raises
     ------
     InputError
-        A grade has fewer than two knees, or the reference has none of the grades.
+        A grade has fewer than two simulated knees, or `reference` contains none of the grades of `sample`.
     """
     shares, _ = normalise_to_plateau(sample.landmarks_mm)
     sizes = measure_joint_sizes(sample.landmarks_mm)
     grades = [grade for grade in np.unique(sample.grades) if str(grade) in reference.grade]
     if not grades:
         given = ", ".join(map(str, np.unique(sample.grades))) or "none"
-        raise InputError(f"grades must include some of {', '.join(reference.grade)}, got {given}")
+        raise InputError(f"grades must include one or more of {', '.join(reference.grade)}, got {given}")
     landmark_rows, size_rows, outside = list[Row](), list[Row](), list[Row]()
     panels = []
     for grade in grades:
@@ -303,8 +306,8 @@ def compare_contours(sample: LandmarkSample, reference: LandmarkReference) -> Co
             raise InputError(f"number of knees of grade {grade} must be 2 or more, got {chosen.sum()}")
         rows = _compare_landmarks(int(grade), shares[chosen], known)
         heights = [row for row in rows if row["axis"] == "y" and row["landmark"] not in EDGE_LANDMARKS]
-        count = sum((not row["mean_inside"]) + (not row["spread_inside"]) for row in heights)
-        outside.append({"grade": int(grade), "knees": int(chosen.sum()), "outside": count, "of": 2 * len(heights)})
+        count = sum((not row["mean_inside"]) + (not row["sd_inside"]) for row in heights)
+        outside.append({"grade": int(grade), "knees": int(chosen.sum()), "outside": count, "total": 2 * len(heights)})
         landmark_rows += rows
         drawn = (shares[chosen].mean(axis=0), shares[chosen].std(axis=0, ddof=1))
         panels.append((int(grade), drawn, (np.array(known.mean_share), np.array(known.sd_share))))
@@ -325,22 +328,22 @@ def compare_contours(sample: LandmarkSample, reference: LandmarkReference) -> Co
 
 
 def _compute_gap_auc_rows(sizes: dict[str, Array], grades: np.ndarray, reference: LandmarkReference) -> list[Row]:
-    """Compute the AUC of the smaller minimum gap of each grade against grade 0; a narrower gap is worse."""
+    """Compute the AUC of the smaller minimum gap for each grade against grade 0; a narrow gap predicts the grade."""
     narrow = -np.minimum(sizes["medial_gap_least_mm"], sizes["lateral_gap_least_mm"])
     rows = []
     for grade in np.unique(grades[grades > 0]):
-        people = reference.gap_alone_auc.get(f"kl{grade}")
+        of_patients = reference.gap_alone_auc.get(f"kl{grade}")
         chosen = np.isin(grades, (0, grade))
-        if people is None or not (grades == 0).any():
+        if of_patients is None or not (grades == 0).any():
             continue
-        beside = dict(zip(("people", "people_low", "people_high"), people, strict=True))
+        beside = dict(zip(("patient_auc", "patient_auc_low", "patient_auc_high"), of_patients, strict=True))
         measured = auc_with_interval(grades[chosen] == grade, narrow[chosen])
         rows.append({"grade": int(grade), "knees": int(chosen.sum()), **measured, **beside})
     return rows
 
 
 def _compute_gaps(landmarks: Array, side: str, fractions: Array) -> Array:
-    """Compute the gaps (k,) at fractions of the femoral width from its edge."""
+    """Compute the joint gaps (k,) at fractions (k,) of the femoral width from the femoral edge of a compartment."""
     femur, tibia = landmarks[_FEMUR], landmarks[_TIBIA]
     width = femur[-1, 0] - femur[0, 0]
     x = femur[-1, 0] - fractions * width if side == "medial" else femur[0, 0] + fractions * width
@@ -366,14 +369,14 @@ def _compare_with_reference(values: Array, reference: Pair) -> Row:
     off, ratio = (mean - reference[0]) / reference[1], sd / reference[1]
     return {
         "knees": len(values),
-        "mean": mean,
-        "reference": reference[0],
-        "off_sd": off,
+        "simulated_mean": mean,
+        "patient_mean": reference[0],
+        "difference_sd": off,
         "mean_inside": abs(off) <= MEAN_WITHIN_SD,
-        "sd": sd,
-        "reference_sd": reference[1],
-        "spread_ratio": ratio,
-        "spread_inside": SPREAD_WITHIN[0] <= ratio <= SPREAD_WITHIN[1],
+        "simulated_sd": sd,
+        "patient_sd": reference[1],
+        "sd_ratio": ratio,
+        "sd_inside": SPREAD_WITHIN[0] <= ratio <= SPREAD_WITHIN[1],
     }
 
 
@@ -391,12 +394,12 @@ def _compare_modes(landmarks: Array, reference: LandmarkReference) -> list[Row]:
         nearest = int(cosines[mode].argmax())
         rows.append({
             "mode": mode + 1,
-            "share_of_variance": float(variance[mode] / variance.sum()),
-            "reference_share": reference.modes.share_of_variance[mode],
+            "simulated_variance_fraction": float(variance[mode] / variance.sum()),
+            "patient_variance_fraction": reference.modes.share_of_variance[mode],
             "cosine": float(cosines[mode, mode]),
             "nearest": nearest + 1,
             "nearest_cosine": float(cosines[mode, nearest]),
-            "sd_along": float((flat @ known[mode]).std(ddof=1)),
-            "reference_sd": reference.modes.sd[mode],
+            "simulated_sd": float((flat @ known[mode]).std(ddof=1)),
+            "patient_sd": reference.modes.sd[mode],
         })  # fmt: skip
     return rows

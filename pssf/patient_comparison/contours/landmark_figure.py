@@ -2,7 +2,6 @@
 
 import io
 
-import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
@@ -12,7 +11,12 @@ from ...core.checks import Array
 # Colours of patients and of simulated knees, distinguishable with any colour vision (Okabe and Ito 2008).
 _PEOPLE = "#D55E00"
 _DRAWN = "#0072B2"
-# Number of tibial landmarks, which come first.
+# Panels per row, figure width in inches and panel height in inches. On a page 800 pixels wide, a figure 8 inches wide
+# is displayed with its nominal text size.
+_COLUMNS, _WIDTH_IN, _PANEL_HEIGHT_IN = 2, 8.0, 1.85
+# Size of all text, in points.
+_FONT_PT = 10
+# Number of tibial landmarks, which precede the femoral landmarks.
 _TIBIA_LANDMARKS = 9
 
 
@@ -22,27 +26,32 @@ def plot_contours(panels: list[tuple[int, tuple[Array, Array], tuple[Array, Arra
     Parameters
     ----------
     panels : list of tuple
-        Grade, and means and standard deviations, (16, 2) each, of simulated knees and of patients, as fractions of the
-        plateau width.
+        Grade, then mean and standard deviation of the landmarks of simulated knees, then the same of patients. Arrays
+        have shape (16, 2), in fractions of the plateau width.
 
     Returns
     -------
     bytes
         PNG image.
     """
-    figure = Figure(figsize=(6.2 * len(panels), 3.2), layout="constrained")
-    for axis, (grade, drawn, people) in zip(np.atleast_1d(figure.subplots(1, len(panels))), panels, strict=True):
+    rows = -(-len(panels) // _COLUMNS)
+    figure = Figure(figsize=(_WIDTH_IN, _PANEL_HEIGHT_IN * rows + 0.6), layout="constrained")
+    axes = figure.subplots(rows, _COLUMNS, squeeze=False, sharex=True, sharey=True).ravel()
+    for axis, (grade, drawn, people) in zip(axes, panels, strict=False):
         for name, colour, (mean, sd) in (("patients", _PEOPLE, people), ("simulated knees", _DRAWN, drawn)):
             _plot_contour(axis, mean, sd, name, colour)
-        axis.set(
-            title=f"Grade {grade}",
-            ylim=(-0.06, 0.36),
-            xlabel="lateral to medial (fraction of plateau width)",
-            aspect="equal",
-        )
-        axis.legend(frameon=False, loc="upper right", fontsize=8)
+        axis.set(ylim=(-0.06, 0.36), aspect="equal")
+        axis.set_title(f"KL {grade}", fontsize=_FONT_PT)
+        axis.tick_params(labelsize=_FONT_PT, labelbottom=True)
+    for axis in axes[len(panels) :]:
+        axis.axis("off")
+    figure.supxlabel("lateral to medial (fraction of plateau width)", fontsize=_FONT_PT)
+    figure.supylabel("distal to proximal (fraction of plateau width)", fontsize=_FONT_PT)
+    figure.legend(
+        *axes[0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False, fontsize=_FONT_PT
+    )
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=110, metadata={"Software": None})
+    figure.savefig(stream, format="png", dpi=200, metadata={"Software": None})
     return stream.getvalue()
 
 

@@ -1,1 +1,1 @@
-"""Radiographs of the patient comparison: simulation, normalisation, features, and tests against patient radiographs."""
+"""Comparison of simulated with patient radiographs: simulation, normalisation, features and classifiers."""

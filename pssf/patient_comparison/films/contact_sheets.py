@@ -1,4 +1,4 @@
-"""Contact sheets: normalised patient and simulated radiographs at one scale for visual comparison."""
+"""Contact sheets of normalised patient and simulated radiographs at a common scale, for visual comparison."""
 
 import io
 from collections.abc import Sequence
@@ -11,17 +11,17 @@ from PIL import Image, ImageDraw
 _GAP_PX = 3
 # Height of a caption, in pixels.
 _CAPTION_PX = 14
-# Grey value of the caption.
+# Grey value of the caption text.
 _INK = 255
 
 
 def make_contact_sheet(rows: Sequence[tuple[str, Sequence[NDArray[np.uint8]]]]) -> bytes:
-    """Make a PNG with one row of radiographs below each caption.
+    """Make a PNG image with one row of radiographs below each caption.
 
     Parameters
     ----------
     rows : sequence of tuple
-        Caption and radiographs of each row; radiographs are (height, width) uint8 arrays of one size.
+        Caption and radiographs of each row. All radiographs are (height, width) uint8 arrays of equal size.
 
     Returns
     -------

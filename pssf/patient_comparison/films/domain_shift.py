@@ -1,4 +1,4 @@
-"""Domain shift: separability of patient and simulated radiographs, and transfer of grade models between them."""
+"""Domain shift between patient and simulated radiographs: separability, and transfer of grade classifiers."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,17 +18,19 @@ from ...study.statistics.scores.metrics import auc, percentile_interval, weighte
 from .film_features import GROUP_SEPARATOR, TOLD, Record
 
 Row = dict[str, Any]
-# Name of the group of all features.
+# Name of the feature group that contains all features.
 ALL_FEATURES = "all"
 # Number of folds of the cross-validation.
 FOLDS = 5
-# Minimum number of radiographs per class; with fewer, no result is reported.
+# Minimum number of radiographs per class for which a result is reported.
 _MIN_FILMS = 10
-# Inverse L2 penalty, suitable for some hundred features and some hundred radiographs (assumed).
+# Inverse strength of the L2 penalty, dimensionless; assumed suitable for hundreds of features and radiographs.
 _INVERSE_PENALTY = 0.1
-# Number of features with the highest AUC that are reported.
+# Number of reported features with the highest AUC.
 _LEADING_COUNT = 8
-_NO_GAIN_FRACTION: dict[str, float | None] = {"way": None, "way_low": None, "way_high": None}
+_NO_GAIN_FRACTION: dict[str, float | None] = {
+    "gain_fraction": None, "gain_fraction_low": None, "gain_fraction_high": None,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,7 +46,7 @@ class FilmFeatures:
     grades : (films,) int64 array
         Grade of each radiograph; -1 if unknown.
     subjects : (films,) array of str
-        Subject of each radiograph; both knees of a person have the same subject.
+        Subject of each radiograph; the two knees of a person have the same subject.
     """
 
     name: str
@@ -53,7 +55,7 @@ class FilmFeatures:
     subjects: NDArray[Any]
 
     def select_grades(self, grades: Sequence[int]) -> "FilmFeatures":
-        """Select the radiographs of some grades.
+        """Select the radiographs that have one of the given grades.
 
         Parameters
         ----------
@@ -72,7 +74,7 @@ class FilmFeatures:
 
 
 def make_film_features(name: str, records: Sequence[Record]) -> FilmFeatures:
-    """Collect the model features of all radiographs whose joint was localised.
+    """Collect the classifier features of all radiographs with a localised joint.
 
     Parameters
     ----------
@@ -84,7 +86,7 @@ def make_film_features(name: str, records: Sequence[Record]) -> FilmFeatures:
     Returns
     -------
     FilmFeatures
-        Features without the groups that are only reported.
+        Features of all groups except those that are reported but not used for training.
     """
     table = pd.DataFrame([record for record in records if record["status"] == "found"])
     columns = [name for name in table if GROUP_SEPARATOR in name and name.split(GROUP_SEPARATOR)[0] not in TOLD]
@@ -99,9 +101,9 @@ def make_film_features(name: str, records: Sequence[Record]) -> FilmFeatures:
 
 
 def measure_source_separability(first: FilmFeatures, second: FilmFeatures, *, replicates: int, seed: int) -> list[Row]:
-    """Measure how well the radiographs of two sources can be distinguished, by feature group.
+    """Measure how well a classifier distinguishes the radiographs of two sources, for each feature group.
 
-    Folds of the cross-validation share no subject.
+    Each subject is in only one fold of the cross-validation.
 
     Parameters
     ----------
@@ -112,13 +114,14 @@ def measure_source_separability(first: FilmFeatures, second: FilmFeatures, *, re
     replicates : int
         Number of bootstrap replicates.
     seed : int
-        Seed of folds and bootstrap.
+        Seed of cross-validation folds and bootstrap.
 
     Returns
     -------
     list of dict
         One row per feature group. ``auc`` is the area under the ROC curve; ``low`` and ``high`` are its 95 % bootstrap
-        interval over subjects, with fixed models. ``leading`` names the features with the highest AUC of their own.
+        interval over subjects, with fixed models. ``leading_features`` lists the features with the highest individual
+        AUC.
     """
     table = pd.concat([first.features, second.features], ignore_index=True)
     truth = np.repeat([False, True], [len(first.features), len(second.features)])
@@ -128,12 +131,12 @@ def measure_source_separability(first: FilmFeatures, second: FilmFeatures, *, re
     rows = []
     for group, columns in group_features(table).items():
         row = {"first": first.name, "second": second.name, "group": group, "features": len(columns)}
-        row |= {"first_films": len(first.features), "second_films": len(second.features)}
+        row |= {"first_radiographs": len(first.features), "second_radiographs": len(second.features)}
         if _has_enough_films(truth, subjects):
             value = cross_validate(table[columns], truth, subjects, seed)
             drawn = bootstrap_auc(truth, value, subjects, replicates=replicates, seed=seed)
             row |= _auc_with_interval(truth, value, drawn)
-            row["leading"] = "; ".join(
+            row["leading_features"] = "; ".join(
                 f"{name} {one:.2f}" for name, one in find_leading_features(table[columns], truth)
             )
         rows.append(row)
@@ -143,14 +146,15 @@ def measure_source_separability(first: FilmFeatures, second: FilmFeatures, *, re
 def measure_transfer(
     real: FilmFeatures, simulated: FilmFeatures, *, low: int, high: Sequence[int], replicates: int, seed: int
 ) -> list[Row]:
-    """Predict grades on patient radiographs with models trained on simulated and on patient radiographs.
+    """Predict grades of patient radiographs with classifiers trained on simulated and on patient radiographs.
 
     Parameters
     ----------
     real : FilmFeatures
         Features of patient radiographs.
     simulated : FilmFeatures
-        Features of simulated radiographs. If they contain no grade of `high`, their highest grade replaces it.
+        Features of simulated radiographs. If no simulated radiograph has a grade of `high`, the highest simulated grade
+        is the positive class.
     low : int
         Grade of the negative class.
     high : sequence of int
@@ -158,15 +162,16 @@ def measure_transfer(
     replicates : int
         Number of bootstrap replicates.
     seed : int
-        Seed of models, folds and bootstrap.
+        Seed of classifiers, cross-validation folds and bootstrap.
 
     Returns
     -------
     list of dict
-        One row per feature group: AUC and 95 % interval after training on simulated radiographs, and with the prefix
-        ``real_`` after training on patient radiographs. ``way`` is the fraction of the gain over chance that training
-        on simulated radiographs reaches. Its interval uses the same subjects for both trainings. It is empty if the
-        gain from patient radiographs is uncertain.
+        One row per feature group: AUC and 95 % interval after training on simulated radiographs. Columns with prefix
+        ``patient_`` are the same after training on patient radiographs. ``gain_fraction`` is the gain over chance
+        (AUC - 0.5) from simulated radiographs, divided by the gain from patient radiographs. The interval of
+        ``gain_fraction`` uses the same bootstrap subjects for the two classifiers. ``gain_fraction`` is empty if the
+        interval of the patient AUC includes 0.5.
     """
     highest = [grade for grade in high if grade in simulated.grades] or [int(simulated.grades.max())]
     here, there = real.select_grades([low, *high]), simulated.select_grades([low, *highest])
@@ -175,7 +180,8 @@ def measure_transfer(
     for group, columns in group_features(real.features).items():
         row = {
             "source": real.name, "task": f"{low} v {'+'.join(map(str, high))}", "group": group,
-            "trained_on": f"{low} v {'+'.join(map(str, highest))}", "real": len(truth), "simulated": len(known),
+            "trained_on": f"{low} v {'+'.join(map(str, highest))}", "patient_radiographs": len(truth),
+            "simulated_radiographs": len(known),
         }  # fmt: skip
         if _has_enough_films(truth, here.subjects) and min(np.bincount(known, minlength=2)) >= _MIN_FILMS:
             carried = make_classifier(seed).fit(there.features[columns].to_numpy(), known)
@@ -185,7 +191,7 @@ def measure_transfer(
                 bootstrap_auc(truth, one, here.subjects, replicates=replicates, seed=seed) for one in (value, own)
             )
             by_simulated, by_real = _auc_with_interval(truth, value, drawn), _auc_with_interval(truth, own, drawn_own)
-            row |= by_simulated | {f"real_{name}": one for name, one in by_real.items()}
+            row |= by_simulated | {f"patient_{name}": one for name, one in by_real.items()}
             row |= (
                 _compute_gain_fraction(truth, (value, own), (drawn, drawn_own))
                 if by_real["low"] > 0.5
@@ -196,13 +202,13 @@ def measure_transfer(
 
 
 def _has_enough_films(truth: NDArray[np.bool_], subjects: NDArray[Any]) -> bool:
-    """Report whether both classes have enough radiographs, and enough subjects for every fold."""
+    """Report whether each class has enough radiographs, and at least one subject per fold."""
     kinds = [subjects[truth == kind] for kind in (False, True)]
     return all(len(of) >= _MIN_FILMS and len(set(of.tolist())) >= FOLDS for of in kinds)
 
 
 def group_features(features: pd.DataFrame) -> dict[str, list[Any]]:
-    """Group feature columns by feature group.
+    """List the columns of each feature group.
 
     Parameters
     ----------
@@ -212,7 +218,7 @@ def group_features(features: pd.DataFrame) -> dict[str, list[Any]]:
     Returns
     -------
     dict of str to list
-        Columns of each group, and last of all groups together (``"all"``).
+        Columns of each group; the last entry, ``"all"``, has the columns of all groups.
     """
     names = dict.fromkeys(group for group, _ in features.columns)
     groups = {group: [column for column in features.columns if column[0] == group] for group in names}
@@ -220,7 +226,7 @@ def group_features(features: pd.DataFrame) -> dict[str, list[Any]]:
 
 
 def make_classifier(seed: int) -> Pipeline:
-    """Make a logistic regression (L2) on standardised features.
+    """Make an L2-regularised logistic regression on standardised features.
 
     Parameters
     ----------
@@ -240,18 +246,18 @@ def make_classifier(seed: int) -> Pipeline:
 
 
 def cross_validate(features: pd.DataFrame, truth: NDArray[np.bool_], subjects: NDArray[Any], seed: int) -> Array:
-    """Predict each radiograph by a model that was trained without its subject.
+    """Predict the class of each radiograph by a classifier trained without its subject (cross-validation).
 
     Parameters
     ----------
     features : pandas.DataFrame
-        Features of (films,) radiographs.
+        Features, one row per radiograph.
     truth : (films,) bool array
         True class of each radiograph.
     subjects : (films,) array of str
         Subject of each radiograph.
     seed : int
-        Seed of folds and models.
+        Seed of cross-validation folds and classifiers.
 
     Returns
     -------
@@ -268,12 +274,12 @@ def cross_validate(features: pd.DataFrame, truth: NDArray[np.bool_], subjects: N
 
 
 def find_leading_features(features: pd.DataFrame, truth: NDArray[np.bool_]) -> list[tuple[str, float]]:
-    """Find the features with the highest AUC of their own.
+    """Find the features with the highest individual AUC.
 
     Parameters
     ----------
     features : pandas.DataFrame
-        Features of (films,) radiographs.
+        Features, one row per radiograph.
     truth : (films,) bool array
         True class of each radiograph.
 
@@ -291,7 +297,7 @@ def find_leading_features(features: pd.DataFrame, truth: NDArray[np.bool_]) -> l
 
 
 def _auc_with_interval(truth: NDArray[np.bool_], value: Array, resampled: Array) -> dict[str, float]:
-    """Compute an AUC, and its interval from the AUCs of bootstrap samples."""
+    """Compute the AUC of predicted values, and its interval from the AUCs of bootstrap samples."""
     low, high = percentile_interval(resampled)
     return {"auc": round(auc(truth, value), 4), "low": round(low, 4), "high": round(high, 4)}
 
@@ -299,24 +305,28 @@ def _auc_with_interval(truth: NDArray[np.bool_], value: Array, resampled: Array)
 def _compute_gain_fraction(
     truth: NDArray[np.bool_], values: tuple[Array, Array], resampled: tuple[Array, Array]
 ) -> Mapping[str, float]:
-    """Divide the gain of the first AUC over chance by that of the second, with an interval from the same subjects."""
+    """Divide the gain over chance of the first prediction by that of the second, with a paired bootstrap interval."""
     whole = [auc(truth, value) - 0.5 for value in values]
     beyond = resampled[1] - 0.5
     low, high = percentile_interval((resampled[0] - 0.5) / np.where(beyond > 0, beyond, np.nan))
-    return {"way": round(whole[0] / whole[1], 3), "way_low": round(low, 3), "way_high": round(high, 3)}
+    return {
+        "gain_fraction": round(whole[0] / whole[1], 3),
+        "gain_fraction_low": round(low, 3),
+        "gain_fraction_high": round(high, 3),
+    }
 
 
 def bootstrap_auc(
     truth: NDArray[np.bool_], value: Array, subjects: NDArray[Any], *, replicates: int, seed: int
 ) -> Array:
-    """Compute the AUC of bootstrap samples of subjects; samples without one of the classes are left out.
+    """Compute the AUC of bootstrap samples of subjects; samples with only one class are omitted.
 
     Parameters
     ----------
     truth : (films,) bool array
         True class of each radiograph.
     value : (films,) array, any unit
-        Predicted value of each radiograph.
+        Predicted value of each radiograph; higher values predict the positive class.
     subjects : (films,) array of str
         Subject of each radiograph.
     replicates : int
@@ -327,7 +337,7 @@ def bootstrap_auc(
     Returns
     -------
     (replicates,) array
-        AUC of each sample.
+        AUC of each bootstrap sample that contains both classes.
     """
     rng = np.random.default_rng(seed)
     _, of_film = np.unique(subjects, return_inverse=True)
@@ -342,14 +352,14 @@ def sample_bootstrap_counts(subject_index: NDArray[np.int64], rng: np.random.Gen
     Parameters
     ----------
     subject_index : (films,) int64 array
-        Number of the subject of each radiograph, from 0.
+        Zero-based number of the subject of each radiograph.
     rng : numpy.random.Generator
         Source of random numbers.
 
     Returns
     -------
     (films,) int64 array
-        Count of each radiograph; all radiographs of a subject have the same count.
+        Number of times that each radiograph is sampled; it is equal for all radiographs of a subject.
     """
-    people = subject_index.max() + 1
-    return np.bincount(rng.integers(0, people, people), minlength=people)[subject_index]
+    count = subject_index.max() + 1
+    return np.bincount(rng.integers(0, count, count), minlength=count)[subject_index]

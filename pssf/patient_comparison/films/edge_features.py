@@ -1,4 +1,4 @@
-"""Cortex and physeal scar on a radiograph: grey profiles across the sides of the bones, and lines across the bones."""
+"""Features of cortex and physeal scar: grey profiles across the medial and lateral bone edges, and physeal lines."""
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -8,7 +8,7 @@ from ...core.checks import Array
 from .film_normalisation import PITCH_MM, joint_centre_px
 from .outline_features import Features
 
-# Direction from the midline (+1 medial) and range of heights above the joint (mm) of each side.
+# Direction from the midline (+1 medial, -1 lateral) and range of heights above the joint (mm) of each bone edge.
 _SIDE_BANDS = {
     "medial_tibia": (1, -24.0, -12.0),
     "lateral_tibia": (-1, -20.0, -8.0),
@@ -16,50 +16,51 @@ _SIDE_BANDS = {
     "lateral_condyle": (-1, 8.0, 20.0),
     "medial_epicondyle": (1, 20.0, 30.0),
 }
-# Distance from the midline within which a side is searched, in mm.
+# Range of distances from the midline in which a bone edge is searched, in mm.
 _SOUGHT_MM = (24.0, 43.2)
-# Length of the profile outside the side, in mm.
+# Length of the profile outside the bone edge, in mm.
 _OUT_MM = 2.6
-# Length of the profile inside the bone, in mm.
+# Length of the profile inside the bone edge, in mm.
 _IN_MM = 12.4
 # Sampling step of the profile, in mm.
 _STEP_MM = 0.2
-# Depth range of soft tissue, in mm from the steepest point inwards.
+# Depth range of soft tissue, in mm; depth is measured inwards from the steepest point of the profile.
 _OUTSIDE_MM = (-2.5, -1.4)
-# Depth range of bone, in mm.
+# Depth range of bone, in mm inwards from the steepest point of the profile.
 _INSIDE_MM = (6.0, 12.0)
-# Depths at which the profile is reported, in mm.
+# Depths at which the profile is reported, in mm inwards from its steepest point.
 _TOLD_MM = (0.0, 0.6, 1.2, 2.1, 3.3)
-# Minimum number of rows with a visible side.
+# Minimum number of rows with a visible bone edge for which a profile is reported.
 _LEAST_ROWS = 8
-# Minimum rise from soft tissue to bone, as a fraction of the grey range of the image.
+# Minimum difference between bone and soft tissue, as a fraction of the grey range of the image.
 _LEAST_RISE = 0.15
-# Range of heights above the joint that holds the physeal scar of each bone, in mm.
+# Range of heights above the joint in which the physeal scar of each bone is searched, in mm.
 _SCARS = {"femur": (14.0, 34.0), "tibia": (-30.0, -10.0)}
-# Distance of the physeal scar from the midline, in mm.
+# Range of distances from the midline in which the physeal scar is searched, in mm.
 _ASIDE_MM = (15.0, 30.0)
-# Width of the columns that are averaged, in mm.
+# Width of the image strips over which line strength is averaged, in mm.
 _WIDE_MM = 5.0
-# Half thickness of a line, as the standard deviation of a Gaussian, in mm.
+# Standard deviation of the Gaussian line filter across the line, in mm.
 _THIN_MM = 0.7
-# Length of a line, as the standard deviation of a Gaussian, in mm.
+# Standard deviation of the Gaussian line filter along the line, in mm.
 _LONG_MM = 2.0
 
 
 def measure_edges(field: Array) -> Features:
-    """Measure grey profiles across the sides of the bones, and the strength of physeal lines.
+    """Measure grey profiles across the medial and lateral bone edges, and the strength of physeal lines.
 
-    In a profile, soft tissue is 0 and bone at a depth of 6 to 12 mm is 1. Line strength is relative to the texture.
+    In a profile, soft tissue is 0 and bone at a depth of 6 to 12 mm is 1. Line strength is divided by the spread of the
+    line-filter response.
 
     Parameters
     ----------
     field : (rows, cols) array, grey
-        Radiograph in normalised geometry, in display values.
+        Radiograph in normalised geometry, with original display values.
 
     Returns
     -------
     dict of str to float
-        Features by name. Profiles are left out where no side is visible.
+        Features by name; a profile is omitted if its bone edge is not visible.
     """
     values: Features = {}
     for name, (way, low_mm, high_mm) in _SIDE_BANDS.items():
@@ -77,9 +78,9 @@ def measure_edges(field: Array) -> Features:
 
 
 def _measure_edge_profile(field: Array, direction: int, low_mm: float, high_mm: float) -> tuple[Array, Array]:
-    """Measure the median grey profile across a side of a bone, aligned at the steepest point of each row.
+    """Measure the median grey profile across a bone edge, after rows are aligned at their steepest points.
 
-    Returns depths (k,) in mm and the profile (k,), which is empty if no side is visible.
+    Return depths (k,) in mm and the profile (k,), which is empty if no bone edge is visible.
     """
     depth = np.arange(-_OUT_MM, _IN_MM, _STEP_MM)
     sought, places = np.arange(*_SOUGHT_MM, _STEP_MM), (np.arange(field.shape[1]) - joint_centre_px()[1]) * PITCH_MM
@@ -99,7 +100,7 @@ def _measure_edge_profile(field: Array, direction: int, low_mm: float, high_mm: 
 
 
 def _measure_strongest_line(band: Array, direction: int) -> float:
-    """Measure the strongest line on a side of a band of ridges, relative to the spread of the ridges."""
+    """Measure the strongest line-filter response on the medial (+1) or lateral (-1) side, relative to its spread."""
     middle, wide = joint_centre_px()[1], round(_WIDE_MM / PITCH_MM)
     within = band[:, np.abs(np.arange(band.shape[1]) - middle) * PITCH_MM < 36.0]
     usual, spread = np.median(within), median_abs_deviation(within, axis=None, scale="normal")

@@ -1,4 +1,4 @@
-"""Features of radiographs: localise the joint, normalise the image, trace its outline and measure its features."""
+"""Feature measurement on radiographs: joint localisation, normalisation, tracing of bone contours and features."""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
@@ -36,25 +36,25 @@ from .outline_features import Features, find_plateau_edges, measure_shape_featur
 from .tone_features import measure_fine_texture, measure_tone
 
 Record = dict[str, Any]
-# Code that a record depends on, besides the radiograph and the templates.
+# Code whose hashes are part of the key of each record, because the record depends on it.
 CODE_PATHS = (
     *("anatomy/labels/radiograph_labels.py", "core", "data", "detector", "io"),
     *("radiomics", "patient_comparison"),
 )
-# Feature groups that are reported but not used for training; `TOLD` holds all of them.
+# Feature groups that are reported but not used for training; `TOLD` lists all three.
 TONE, FINE, EDGES = TOLD = ("tone", "fine texture", "edges")
 # Separator of group and feature in a column name.
 GROUP_SEPARATOR = "|"
-# Distance of the joint centre from the medial joint line, as a fraction of the plateau width.
+# Distance from the localised medial joint line to the joint centre, as a fraction of the plateau width.
 _JOINT_CENTRE_OFFSET = 0.25
-# Scale factors of the image in successive iterations; a smaller factor gives a wider field.
+# Scale factors of the image in successive iterations of centring; a smaller factor gives a wider field of view.
 _ZOOMS = (0.8, 0.9, 1.0)
-# Maximum change of scale in one iteration and in total.
+# Maximum factor by which the scale changes, in each iteration and in total.
 _MAX_RESIZING = 1.25
 
 
 class FilmTables(NamedTuple):
-    """Settings of the comparison of radiographs.
+    """Settings of the radiograph comparison.
 
     Attributes
     ----------
@@ -70,14 +70,14 @@ class FilmTables(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class FilmSource:
-    """Radiographs of one origin.
+    """Radiographs of one source.
 
     Parameters
     ----------
     name : str
         Name of the source.
     folder : Path
-        Folder to which file names are relative.
+        Folder of the radiographs; file names are relative to it.
     films : tuple of Film
         Radiographs of the source.
     """
@@ -96,9 +96,9 @@ def measure_films(
     previous_records: Mapping[str, Mapping[str, Record]],
     save: Callable[[str, list[Record]], None],
 ) -> dict[str, list[Record]]:
-    """Measure every radiograph of some sources.
+    """Measure every radiograph of the given sources.
 
-    Records of an earlier run are reused if neither code nor templates have changed.
+    Records of an earlier run are reused if code and templates are unchanged.
 
     Parameters
     ----------
@@ -111,14 +111,15 @@ def measure_films(
     execution : Execution
         Worker processes, timer and progress display.
     previous_records : mapping of str to mapping
-        Records of an earlier run, by source and SHA-256.
+        Records of an earlier run, by source name and SHA-256 of the file.
     save : callable
-        Called with source and all its records so far, at intervals and at the end, so that an interrupted run resumes.
+        Function called with a source name and all available records of the source. It is called at intervals and at the
+        end, so an interrupted run can resume.
 
     Returns
     -------
     dict of str to list of dict
-        One record per radiograph, by source and in their order.
+        One record per radiograph, by source name and in the order of the radiographs.
     """
     code = compute_code_hashes(CODE_PATHS)
     key = compute_key(
@@ -158,7 +159,7 @@ def measure_films(
 def _select_reusable_records(
     source: FilmSource, key: str, previous_records: Mapping[str, Record]
 ) -> list[Record | None]:
-    """Select the record of each radiograph from an earlier run; None if its key differs."""
+    """Select the record of each radiograph from an earlier run; None if it is missing or its key differs."""
     of_films = ((film, previous_records.get(film.sha256)) for film in source.films)
     return [
         record if record and record["key"] == _compute_display_key(key, film) else None for film, record in of_films
@@ -186,23 +187,23 @@ def measure_film(
     Parameters
     ----------
     folder_and_film : tuple of (Path, Film)
-        Folder to which the file name is relative, and the radiograph.
+        Folder of the radiograph, and the radiograph with its file name relative to the folder.
     templates : sequence of Template
         Templates of the joint localisation.
     table : LocalisationSettings
         Settings of the joint localisation.
     code : mapping of str to str
-        Code hashes at the start of the run.
+        Code hashes computed at the start of the run.
 
     Returns
     -------
     dict
-        Status, position, side and pitch; features by ``group|feature`` if the joint was localised.
+        Status, joint position, side and pitch. If the joint was localised, also features, named ``group|feature``.
 
     Raises
     ------
     InputError
-        The code of this process differs from `code`.
+        The code of this worker process differs from `code`.
     """
     require_same_code(code)
     folder, film = folder_and_film
@@ -234,7 +235,7 @@ def measure_film(
 def measure_located_film(
     film: Array, approximate_position: JointPosition, pixel_mm: float, binning: float = 1
 ) -> Record:
-    """Measure the features of a radiograph about its joint.
+    """Measure the features of a radiograph around the joint.
 
     Parameters
     ----------
@@ -245,12 +246,12 @@ def measure_located_film(
     pixel_mm : float
         Pixel pitch of the radiograph, in mm.
     binning : float, default 1
-        Number of pixels per side that are averaged first. Fine texture is measured at the original pitch.
+        Width of a binned pixel in original pixels. Fine texture is measured without binning.
 
     Returns
     -------
     dict of str to float
-        Features by ``group|feature``, and joint position and pitch.
+        Features, named ``group|feature``, joint position and pitch.
     """
     shown, approximate_position = bin_film(film, approximate_position, binning)
     place = centre_on_joint(shown, approximate_position)
@@ -271,17 +272,17 @@ def measure_located_film(
 
 
 def _measure_acquisition(film: Array, field: Array, place: JointPosition) -> Features:
-    """Measure acquisition effects: offset of the joint from the image centre, and mean grey about the joint."""
+    """Measure the offset of the joint from the image centre, and the mean grey value around the joint."""
     down, aside = (
         (at - (size - 1) / 2) * place.pitch_mm for at, size in zip((place.row, place.col), film.shape, strict=True)
     )
-    return {"joint_down_mm": down, "joint_aside_mm": aside, "mean_grey": float(field.mean())}
+    return {"joint_offset_down_mm": down, "joint_offset_right_mm": aside, "mean_grey": float(field.mean())}
 
 
 def centre_on_joint(film: Array, approximate_position: JointPosition) -> JointPosition:
-    """Refine position and pitch so that the plateau is PLATEAU_MM wide and the joint is centred.
+    """Refine joint position and pixel pitch, so that the plateau is PLATEAU_MM wide and the joint is centred.
 
-    The first outline is traced in a wider field, which contains both plateau edges.
+    The first iterations use a wider field of view, so that it contains both plateau edges.
 
     Parameters
     ----------
@@ -293,7 +294,7 @@ def centre_on_joint(film: Array, approximate_position: JointPosition) -> JointPo
     Returns
     -------
     JointPosition
-        Refined position and pitch.
+        Refined joint position and pixel pitch.
     """
     place = approximate_position
     for zoom in _ZOOMS:
@@ -319,7 +320,7 @@ def centre_on_joint(film: Array, approximate_position: JointPosition) -> JointPo
 
 
 def _compute_display_key(key: str, film: Film) -> str:
-    """Compute the key of a radiograph from the common key, its display processing and its resampling."""
+    """Compute the key of a radiograph from the common key, its display processing and its resampled pixel size."""
     shown = f"{key} {film.processing!r} {film.resampled_pixel_mm}"
     return (
         key

@@ -1,9 +1,9 @@
-"""Normalisation of radiographs for comparison: a right knee about its joint, at one size, field and grey range.
+"""Normalisation of radiographs: mirrored to a right knee, centred on the joint, common size, field and grey range.
 
 Notes
 -----
-Magnification of patient radiographs is seldom known, and crops are resampled. Millimetres in this package are
-therefore those of a knee with a plateau PLATEAU_MM wide from edge to edge.
+The magnification of patient radiographs is seldom known, and published crops are resampled. Lengths in this package
+are therefore normalised: every plateau is PLATEAU_MM wide from edge to edge.
 """
 
 from dataclasses import dataclass
@@ -19,9 +19,10 @@ from ...core.checks import (
 )
 from ...core.resample import downsample_by_area
 
-# Width of the plateau, in mm: mean on patient radiographs (Tiulpin et al. 2019, see `data/landmarks.toml`).
+# Normalised plateau width, in mm; mean of patient radiographs (Tiulpin et al. 2019, see `data/landmarks.toml`).
 PLATEAU_MM = 78.0
-# Pixel pitch, in mm. Fixed-flexion crops of 224 x 224 pixels cover this pitch and field; most radiographs resolve more.
+# Normalised pixel pitch, in mm. Fixed-flexion crops of 224 x 224 pixels have about this pitch; most radiographs have a
+# finer one.
 PITCH_MM = 0.46
 # Height of the field above the joint centre, in mm.
 ABOVE_MM = 43.0
@@ -29,13 +30,13 @@ ABOVE_MM = 43.0
 BELOW_MM = 34.0
 # Half width of the field, in mm.
 HALF_MM = 46.0
-# Percentiles that the contrast stretch maps to 0 and 255; brighter or darker pixels are markers or air.
+# Grey-value percentiles that are mapped to 0 and 255; pixels beyond them show markers or air.
 _STRETCH_PERCENTILES = (1.0, 99.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointPosition:
-    """Position of the joint centre on a radiograph: on the joint line, half way between the plateau edges.
+    """Position of the joint centre on a radiograph: on the joint line, midway between the plateau edges.
 
     Parameters
     ----------
@@ -44,9 +45,9 @@ class JointPosition:
     col : float
         Column of the joint centre, in px.
     side : {"right", "left"}
-        Side of the knee as displayed.
+        Left or right knee, as displayed.
     pitch_mm : float
-        Pixel pitch at the normalised size, 0.005 to 10 mm.
+        Pixel pitch in normalised mm, 0.005 to 10 mm.
 
     Raises
     ------
@@ -84,23 +85,23 @@ class JointPosition:
         return self.row + below_mm / self.pitch_mm, self.col + across / self.pitch_mm
 
     def rebin(self, pixels: float) -> "JointPosition":
-        """Express the position in pixels of another size.
+        """Convert the position to an image with another pixel size.
 
         Parameters
         ----------
         pixels : float
-            Width of a new pixel in present pixels; 1 / n is the inverse of n.
+            Width of a new pixel, in present pixels.
 
         Returns
         -------
         JointPosition
-            The same position in new pixels.
+            The same position, in new pixels.
         """
         row, col = ((at + 0.5) / pixels - 0.5 for at in (self.row, self.col))
         return JointPosition(row=row, col=col, side=self.side, pitch_mm=self.pitch_mm * pixels)
 
     def shift_by_pixels(self, rows: float, cols: float) -> "JointPosition":
-        """Move the position by pixels of the normalised radiograph.
+        """Shift the position by a number of pixels of the normalised radiograph.
 
         Parameters
         ----------
@@ -112,14 +113,14 @@ class JointPosition:
         Returns
         -------
         JointPosition
-            Moved position.
+            Shifted position.
         """
         row, col = self.to_pixels(np.array(rows * PITCH_MM), np.array(cols * PITCH_MM))
         return JointPosition(row=float(row), col=float(col), side=self.side, pitch_mm=self.pitch_mm)
 
 
 def bin_film(film: Array, place: JointPosition, binning: float) -> tuple[Array, JointPosition]:
-    """Average pixels of a radiograph and express a position in the new pixels.
+    """Bin a radiograph and convert a position to the binned pixels.
 
     Parameters
     ----------
@@ -128,22 +129,22 @@ def bin_film(film: Array, place: JointPosition, binning: float) -> tuple[Array, 
     place : JointPosition
         Position of the joint centre.
     binning : float
-        Width of a new pixel in present pixels, 1 or more; it may be fractional.
+        Width of a binned pixel in original pixels, 1 or more; fractions are allowed.
 
     Returns
     -------
     film : (rows, cols) array
-        Radiograph with larger pixels.
+        Binned radiograph.
     place : JointPosition
-        Position on it.
+        Position of the joint centre, in binned pixels.
     """
     return (film, place) if binning == 1 else (downsample_by_area(film, binning), place.rebin(binning))
 
 
 def resample_joint_field(film: Array, place: JointPosition) -> Array:
-    """Resample the field about the joint centre as a right knee, with columns from lateral to medial.
+    """Resample the field around the joint centre as a right knee, with columns from lateral to medial.
 
-    Beyond the image its edge is repeated.
+    Outside the image, the nearest edge pixel is used.
 
     Parameters
     ----------
@@ -161,8 +162,8 @@ def resample_joint_field(film: Array, place: JointPosition) -> Array:
     half = round(HALF_MM / PITCH_MM)
     across: Array = np.arange(-half, half + 1, dtype=np.float64) * PITCH_MM
     rows, cols = place.to_pixels(below, across)
-    # A coarser pixel holds the mean over its area, as in reduced crops. The blur has the variance of the coarser pixel
-    # minus that of the present pixel.
+    # A normalised pixel is the mean over its area, as in crops of reduced size. The variance of the Gaussian blur is
+    # that of the normalised pixel minus that of the original pixel.
     coarser = PITCH_MM / place.pitch_mm
     blur = np.sqrt(max(coarser**2 - 1, 0.0) / 12)
     near, top, left = _crop_with_margin(film, rows, cols, round(5 * blur) + 1)
@@ -173,7 +174,7 @@ def resample_joint_field(film: Array, place: JointPosition) -> Array:
 
 
 def _crop_with_margin(film: Array, rows: Array, cols: Array, margin: int) -> tuple[Array, int, int]:
-    """Crop an image to given rows and columns with a margin; return it with its first row and column."""
+    """Crop an image to the range of given rows and columns plus a margin; return the crop, its first row and column."""
     starts, ends = [], []
     for places, length in ((rows, film.shape[0]), (cols, film.shape[1])):
         starts.append(int(np.clip(np.floor(places.min()) - margin, 0, length - 1)))
@@ -182,7 +183,7 @@ def _crop_with_margin(film: Array, rows: Array, cols: Array, margin: int) -> tup
 
 
 def stretch_contrast(field: Array) -> Array:
-    """Stretch the grey values between the 1st and 99th percentile to whole numbers from 0 to 255.
+    """Stretch the grey values between the 1st and 99th percentile to integers from 0 to 255.
 
     Parameters
     ----------

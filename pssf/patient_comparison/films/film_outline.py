@@ -1,4 +1,4 @@
-"""Outlines of femur and tibia on a normalised radiograph, traced along steep grey edges by dynamic programming."""
+"""Contours of femur and tibia on a normalised radiograph, traced along grey-value edges by dynamic programming."""
 
 from dataclasses import dataclass
 
@@ -10,62 +10,64 @@ from ...core.checks import Array
 from ...core.numba_kernel import kernel
 from .film_normalisation import PITCH_MM, PLATEAU_MM, joint_centre_px
 
-# Standard deviation of the Gaussian derivative that gives gradients, in px.
+# Standard deviation of the Gaussian derivative filter for gradients, in px.
 _BLUR_PX = 1.2
-# Grey value varies from bone to bone, so contrast is measured relative to its surroundings of some 4 to 6 mm.
-# Standard deviation of the Gaussian that separates detail from its surroundings, in px.
+# Grey values differ between bones, so gradients are divided by the local contrast within about 4 to 6 mm.
+# Standard deviation of the Gaussian that is subtracted to obtain grey detail, in px.
 _COARSE_PX = 8.0
-# Standard deviation of the Gaussian over which local contrast is averaged, in px.
+# Standard deviation of the Gaussian that averages squared detail to local contrast, in px.
 _LOCAL_PX = 12.0
-# Steeper gradients count no more than this, dimensionless.
+# Upper limit to which relative gradients are clipped, dimensionless.
 _MAX_STEEPNESS = 3.0
-# Cost of a step of one row per column; it increases with the power 1.5 of the step.
+# Cost of a step of one row per column; the cost is proportional to the step to the power 1.5.
 _BEND_COST = 0.02
 # Maximum step of a joint contour, in rows per column.
 _JOINT_STEPS = 4
 # Maximum step of a side contour, in columns per row.
 _SIDE_STEPS = 2
-# Where femur and tibia overlap, no edge shows the end of the femur, and an edge inside the bone could be chosen.
-# Each row of the joint space therefore adds a cost that depends on its brightness.
+# Where femur and tibia overlap, the femoral contour has no edge, and an edge inside the bone could be traced instead.
+# Each row between the contours therefore adds a cost that increases with its brightness.
+# Cost per row, dimensionless.
 _ROW = 0.1
-# The cost of a row is proportional to its grey detail plus this offset, dimensionless.
+# Offset of the grey detail to which the cost of a row is proportional, dimensionless.
 _NOT_DARK = 0.6
-# This cost is 0 within this distance of the midline, in mm, where the notch is.
+# Distance from the midline up to which the row cost is 0 because of the intercondylar notch, in mm.
 _NOTCH_MM = 10.0
-# Distance over which the cost increases to its full value, in mm.
+# Distance from the notch over which the row cost increases to its full value, in mm.
 _FADING_MM = 6.0
-# The outline of a spine is faint, but edges inside it are strong. Each row that is brighter than the notch above it
-# therefore adds a cost.
+# The contour of a tibial spine is faint, but edges inside the spine are strong. Each row that is brighter than the
+# notch above it therefore adds a cost to the tibial contour.
+# Cost per row and unit of brightness, dimensionless.
 _ROW_PASSED = 0.03
-# Rows count if they are brighter than the darkest row above by more than this, dimensionless.
+# Minimum brightness above that of the darkest row above at which a row adds a cost, dimensionless.
 _BRIGHTER = 0.1
-# Largest brightness difference that counts, dimensionless.
+# Upper limit to which brightness differences are clipped, dimensionless.
 _BRIGHTEST = 2.0
-# This cost vanishes at this distance from the midline, in mm, at the end of the eminence.
+# Distance from the midline beyond which the spine cost is 0, in mm; the eminence ends there.
 _SPINES_MM = 21.0
-# Distance over which the cost decreases to 0, in mm.
+# Distance over which the spine cost decreases to 0, in mm.
 _SPINES_FADING_MM = 14.0
-# Cost of a contour on the wrong side of the other contour.
+# Cost of a femoral contour below the tibial contour, or of a tibial contour above the femoral contour.
 _FORBIDDEN_COST = 10.0
-# Fibula, fat and skin have edges too, so the sides of the bones are searched near the plateau edges only.
-# Half width of the search for the tibia, as a fraction of half the plateau width.
+# Fibula, fat and skin have edges too, so the medial and lateral contours are searched near the plateau edges only.
+# Distance from the midline up to which the tibial side contours have no extra cost, in half plateau widths.
 _TIBIA_WITHIN = 1.08
-# Half width of the search for the femur, as a fraction of half the plateau width.
+# Distance from the midline up to which the femoral side contours have no extra cost, in half plateau widths.
 _FEMUR_WITHIN = 1.15
-# Distance beyond these limits, in mm, at which the cost is `_BEYOND`.
+# Distance beyond these limits at which the extra cost is `_BEYOND`, in mm.
 _BEYOND_MM = 8.0
-# Cost at this distance; it increases with the square of the distance.
+# Extra cost at the distance `_BEYOND_MM`, dimensionless; the cost is proportional to the square of the distance.
 _BEYOND = 0.3
-# Half length of the joint contours, in mm.
+# Distance from the midline up to which joint contours are traced, in mm.
 _CONTOUR_REACH_MM = 36.0
-# Heights below (tibia) and above (femur) the joint line at which the sides of the bones are searched, in mm.
+# Range of distances below (tibia) and above (femur) the joint line in which side contours are traced, in mm.
 _SIDE_HEIGHTS_MM = (3.0, 24.0)
-# Distance from the joint line over which the cost of a joint contour increases, in mm.
+# Distance from the joint line that scales the quadratic cost of a joint contour, in mm.
 _SEARCH_SCALE_MM = 16.0
-# The eminence is not higher than this above the joint centre, in mm. Medial spines are 0.143 (SD 0.016) of the plateau
-# width above its edges (Tiulpin et al. 2019), which are some 3 mm below the joint centre.
+# Maximum height of the eminence above the joint centre, in mm. Medial spines are 0.143 (SD 0.016) plateau widths above
+# the plateau edges (Tiulpin et al. 2019). The edges are about 3 mm below the joint centre.
 _TALLEST_MM = 12.0
-# Cost per mm above this height.
+# Cost per mm above the maximum height of the eminence.
 _TOO_TALL = 0.6
 
 
@@ -82,13 +84,13 @@ class Outline:
     tibia : (n,) array
         Rows of the proximal tibial contour, in px.
     tibia_rows : (m,) array
-        Rows at which the sides of the tibia are known, from the joint downwards, in px.
+        Rows at which the medial and lateral tibial contours are traced, from the joint downwards, in px.
     tibia_sides : (m, 2) array
-        Columns of the lateral and medial side of the tibia, in px.
+        Columns of the lateral and the medial tibial contour, in px.
     femur_rows : (m,) array
-        Rows at which the sides of the femur are known, from the joint upwards, in px.
+        Rows at which the medial and lateral femoral contours are traced, from the joint upwards, in px.
     femur_sides : (m, 2) array
-        Columns of the lateral and medial side of the femur, in px.
+        Columns of the lateral and the medial femoral contour, in px.
     """
 
     columns: Array
@@ -108,7 +110,7 @@ def trace_outline(film: Array, plateau_mm: float = PLATEAU_MM) -> Outline:
     film : (rows, cols) array, grey
         Normalised radiograph.
     plateau_mm : float, default PLATEAU_MM
-        Approximate width of the plateau on it, in mm.
+        Approximate plateau width on the radiograph, in mm.
 
     Returns
     -------
@@ -120,7 +122,7 @@ def trace_outline(film: Array, plateau_mm: float = PLATEAU_MM) -> Outline:
     reach = round(_CONTOUR_REACH_MM / PITCH_MM)
     columns = np.arange(col - reach, col + reach + 1)
     rows, x_mm = np.arange(len(film))[:, None], np.abs(columns - col) * PITCH_MM
-    # From top to bottom, grey falls at the end of the femur and rises at the tibia, both near the joint line.
+    # From top to bottom, the grey value decreases at the end of the femur and increases at the tibia.
     away = (rows - row) * PITCH_MM / _SEARCH_SCALE_MM
     too_tall = _TOO_TALL * np.maximum((row - rows) * PITCH_MM - _TALLEST_MM, 0.0)
     brighter = -0.6 * np.clip(rise, 0, _MAX_STEEPNESS)[:, columns] + 0.15 * away**2 + too_tall
@@ -138,10 +140,10 @@ def trace_outline(film: Array, plateau_mm: float = PLATEAU_MM) -> Outline:
 
 
 def _compute_gap_cost(tone: Array, tibia: NDArray[np.int64], x_mm: Array) -> Array:
-    """Compute the (rows, cols) cost of the distal femoral contour: rows above the tibia that are not dark.
+    """Compute the (rows, cols) cost of a distal femoral contour from the bright rows between contour and tibia.
 
-    `tone` is the grey detail from :func:`_compute_gradients`. `tibia` holds the (cols,) rows of the tibial contour.
-    `x_mm` holds the (cols,) distance from the midline, in mm.
+    `tone` is the grey detail from :func:`_compute_gradients`. `tibia` contains the (cols,) rows of the tibial contour.
+    `x_mm` contains the (cols,) distances from the midline, in mm.
     """
     rows = np.arange(len(tone))[:, None]
     space = np.where(rows < tibia, np.clip(tone, -1.0, 1.0) + _NOT_DARK, 0.0)
@@ -150,11 +152,11 @@ def _compute_gap_cost(tone: Array, tibia: NDArray[np.int64], x_mm: Array) -> Arr
 
 
 def _compute_passed_bone_cost(grey: Array, femur: NDArray[np.int64], x_mm: Array) -> Array:
-    """Compute the (rows, cols) cost of the proximal tibial contour: bright rows between femur and contour.
+    """Compute the (rows, cols) cost of a proximal tibial contour from the bright rows between femur and contour.
 
-    Rows count if they are brighter than the darkest row above them, as a tibial spine is. `grey` is the grey value
-    over local contrast; its detail alone would be brighter in the middle of a dark notch than at its edge. `femur`
-    holds the (cols,) rows of the femoral contour, and `x_mm` the (cols,) distance from the midline, in mm.
+    A row adds a cost if it is brighter than the darkest row above, as in a tibial spine. `grey` is the grey value
+    divided by local contrast. Grey detail is not used, because it is too bright in the middle of a dark notch. `femur`
+    contains the (cols,) rows of the femoral contour. `x_mm` contains the (cols,) distances from the midline, in mm.
     """
     rows = np.arange(len(grey))[:, None]
     soft = gaussian_filter(grey, 1.0)
@@ -165,19 +167,19 @@ def _compute_passed_bone_cost(grey: Array, femur: NDArray[np.int64], x_mm: Array
 
 
 def find_cheapest_path(cost: Array, max_step_px: int) -> NDArray[np.int64]:
-    """Find the path of least cost from the first column to the last.
+    """Find the path with the least total cost from the first to the last column.
 
     Parameters
     ----------
     cost : (rows, cols) array, dimensionless
         Cost of each pixel.
     max_step_px : int
-        Maximum number of rows between neighbouring columns.
+        Maximum row difference between neighbouring columns.
 
     Returns
     -------
     (cols,) int64 array
-        Row of the path in every column.
+        Row of the path in each column.
     """
     return _solve_cheapest_path(
         np.ascontiguousarray(cost, np.float64), _BEND_COST * np.arange(max_step_px + 1.0) ** 1.5
@@ -186,7 +188,7 @@ def find_cheapest_path(cost: Array, max_step_px: int) -> NDArray[np.int64]:
 
 @kernel()
 def _solve_cheapest_path(cost: Array, step_cost: Array) -> NDArray[np.int64]:
-    """Find the (cols,) rows of the cheapest path by dynamic programming; `step_cost` holds the cost of each step."""
+    """Find the (cols,) rows of the cheapest path by dynamic programming; `step_cost` is the cost by step in rows."""
     rows, cols = cost.shape
     step = len(step_cost) - 1
     origin = np.empty((cols, rows), np.int64)
@@ -208,10 +210,10 @@ def _solve_cheapest_path(cost: Array, step_cost: Array) -> NDArray[np.int64]:
 
 
 def _compute_gradients(film: Array) -> tuple[Array, Array, Array, Array]:
-    """Compute vertical and horizontal gradient, grey detail and grey value, each (rows, cols) over local contrast."""
+    """Compute vertical gradient, horizontal gradient, grey detail and grey value, each divided by local contrast."""
     detail = film - gaussian_filter(film, _COARSE_PX)
     local = np.sqrt(gaussian_filter(detail**2, _LOCAL_PX)) + 0.25
-    # Outside the limb, contrast is low, and local contrast alone would make a fat line as strong as a bone edge.
+    # Local contrast is low near the skin, so division by it alone would make a fat edge as strong as a bone edge.
     steady = np.sqrt(local**2 + (detail**2).mean())
     down = gaussian_filter(film, _BLUR_PX, order=(1, 0)) / local
     right = gaussian_filter(film, _BLUR_PX, order=(0, 1)) / (steady * np.median(local) / np.median(steady))
@@ -219,14 +221,14 @@ def _compute_gradients(film: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _trace_sides(across: Array, row: int, direction: int, within_mm: float) -> tuple[Array, Array]:
-    """Trace the lateral and medial side of a bone; return rows (m,) and columns (m, 2) in px.
+    """Trace the lateral and the medial contour of a bone; return rows (m,) and columns (m, 2) in px.
 
-    `direction` is +1 downwards and -1 upwards from the joint. Beyond `within_mm` from the midline the cost increases.
+    `direction` is +1 downwards and -1 upwards from the joint. The cost increases beyond `within_mm` from the midline.
     """
     near, far = (round(length / PITCH_MM) for length in _SIDE_HEIGHTS_MM)
     rows = np.clip(row + direction * np.arange(near, far + 1), 0, len(across) - 1)
     _, middle = joint_centre_px()
-    inner = round(20.0 / PITCH_MM)  # The shaft is wider than this on either side of the midline.
+    inner = round(20.0 / PITCH_MM)  # Both bones extend more than 20 mm to either side.
     beyond_mm = np.maximum(np.abs(np.arange(across.shape[1]) - middle) * PITCH_MM - within_mm, 0.0)
     unlikely, steep = _BEYOND * (beyond_mm / _BEYOND_MM) ** 2, across[rows]
     costs = [unlikely - np.clip(sign * steep, 0, _MAX_STEEPNESS) for sign in (1, -1)]

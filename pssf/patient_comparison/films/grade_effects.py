@@ -1,4 +1,4 @@
-"""Grade effects: agreement of the differences between grades on patient and on simulated radiographs."""
+"""Grade effects: comparison of feature differences between grades on patient and on simulated radiographs."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,27 +15,28 @@ from .domain_shift import (
     sample_bootstrap_counts,
 )
 
-# Number of random halvings over which reliability is averaged.
+# Number of random splits of the subjects into halves, over which reliability is averaged.
 _HALVINGS = 200
-# Random stream of the halvings.
+# Key of the random stream for the splits into halves.
 _HALVES = 78
 
 
 def compare_grade_effects(
     real: FilmFeatures, simulated: FilmFeatures, *, low: int, high: Sequence[int], replicates: int, seed: int
 ) -> tuple[list[Row], list[Row]]:
-    """Compare the standardised differences between grades on patient and on simulated radiographs.
+    """Compare standardised feature differences between grades on patient and on simulated radiographs.
 
     Parameters
     ----------
     real : FilmFeatures
         Features of patient radiographs.
     simulated : FilmFeatures
-        Features of simulated radiographs. If they contain no grade of `high`, their highest grade replaces it.
+        Features of simulated radiographs. If no simulated radiograph has a grade of `high`, the highest simulated grade
+        is used.
     low : int
-        Lower grade.
+        Lower grade of the difference.
     high : sequence of int
-        Higher grades.
+        Higher grades of the difference.
     replicates : int
         Number of bootstrap replicates.
     seed : int
@@ -44,12 +45,13 @@ def compare_grade_effects(
     Returns
     -------
     rows : list of dict
-        One row per feature: standardised difference on patient (``real``) and on simulated radiographs.
+        One row per feature: standardised difference on patient radiographs (``patient_effect``) and on simulated
+        radiographs (``simulated_effect``).
     summary : list of dict
         One row per feature group. ``r`` is the correlation over the features and ``same_sign`` the fraction of equal
-        signs, each with a 95 % bootstrap interval over subjects. ``most`` is the highest correlation that could be
-        observed if the effects were equal, because each effect is measured with limited reliability. It is the square
-        root of the product of both reliabilities (Spearman 1904).
+        signs, each with a 95 % bootstrap interval over subjects. ``max_r`` is the expected correlation
+        if the true effects are equal; it is below 1 because each effect is measured with limited reliability. It is the
+        square root of the product of the two reliabilities (Spearman 1904).
     """
     highest = [grade for grade in high if grade in simulated.grades] or [int(simulated.grades.max())]
     ours = _bootstrap_effects(simulated, low, highest, replicates, seed)
@@ -58,7 +60,7 @@ def compare_grade_effects(
     task = f"{low} v {'+'.join(map(str, high))}"
     label = {"source": real.name, "task": task}
     rows = [
-        label | {"group": group, "feature": name, "real": float(one), "simulated": float(other)}
+        label | {"group": group, "feature": name, "patient_effect": float(one), "simulated_effect": float(other)}
         for (group, name), one, other in zip(real.features.columns, theirs[0].round(4), ours[0].round(4), strict=True)
     ]
     summary = []
@@ -80,13 +82,13 @@ def compare_grade_effects(
                 f"{name}_high": _round_to_three_digits(ends[1]),
             }
         reliable = [_split_half_reliability(of[:, :, of_group]) for of in halves]
-        row["most"] = _round_to_three_digits(np.sqrt(np.prod(reliable)))
+        row["max_r"] = _round_to_three_digits(np.sqrt(np.prod(reliable)))
         summary.append(row)
     return rows, summary
 
 
 def _compute_half_sample_effects(films: FilmFeatures, low: int, high: Sequence[int], seed: int) -> Array:
-    """Compute the effects in both halves of randomly halved subjects, (halvings, 2, features)."""
+    """Compute the grade effects in each half of randomly split subjects, (splits, 2, features)."""
     of_grades = films.select_grades([low, *high])
     values, without = of_grades.features.to_numpy(np.float64), of_grades.grades == low
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_HALVES,)))
@@ -99,9 +101,9 @@ def _compute_half_sample_effects(films: FilmFeatures, low: int, high: Sequence[i
 
 
 def _split_half_reliability(halves: Array) -> float:
-    """Estimate the reliability of effects, 0 to 1 or NaN, from effects in halves of the subjects (Brown 1910).
+    """Estimate the split-half reliability of grade effects, 0 to 1 or NaN (Brown 1910).
 
-    `halves` has shape (halvings, 2, features).
+    `halves` has shape (splits, 2, features).
     """
     r = np.array([_effect_agreement(one, other)[0] for one, other in halves])
     if not np.isfinite(r).any():
@@ -111,7 +113,7 @@ def _split_half_reliability(halves: Array) -> float:
 
 
 def _effect_agreement(real: Array, simulated: Array) -> tuple[float, float]:
-    """Compute the correlation of two (features,) effects and the fraction of equal signs; NaN if undefined."""
+    """Compute the correlation between two (features,) arrays of effects, and the fraction of equal signs."""
     there = np.isfinite(real + simulated)
     one, other = real[there], simulated[there]
     if not len(one):
@@ -127,9 +129,10 @@ def _round_to_three_digits(value: float) -> float:
 
 
 def _bootstrap_effects(films: FilmFeatures, low: int, high: Sequence[int], replicates: int, seed: int) -> Array:
-    """Compute (1 + replicates, features) standardised differences: of all radiographs, and of bootstrap samples.
+    """Compute (1 + replicates, features) standardised differences.
 
-    A difference is NaN if a grade has fewer than two radiographs or if all values are equal.
+    The first row is from all radiographs, the other rows are from bootstrap samples. A difference is NaN if a grade has
+    fewer than two radiographs, or if all values are equal.
     """
     of_grades = films.select_grades([low, *high])
     values, without = of_grades.features.to_numpy(np.float64), of_grades.grades == low
@@ -141,14 +144,14 @@ def _bootstrap_effects(films: FilmFeatures, low: int, high: Sequence[int], repli
 
 
 def _standardised_difference(values: Array, is_low_grade: NDArray[Any]) -> Array:
-    """Compute (features,) differences of the means of two grades, divided by their pooled standard deviation."""
+    """Compute (features,) differences between the means of two grades, divided by the pooled standard deviation."""
     (mean, variance), (other_mean, other_variance) = _moments(values[is_low_grade]), _moments(values[~is_low_grade])
     spread = np.sqrt((variance + other_variance) / 2)
     return (other_mean - mean) / np.where(spread > 0, spread, np.nan)
 
 
 def _moments(values: Array) -> tuple[Array, Array]:
-    """Compute (features,) means and variances over the radiographs (films, features) with a finite value."""
+    """Compute (features,) means and variances over the finite values of each column of a (films, features) array."""
     there = np.isfinite(values)
     count = there.sum(axis=0)
     known = np.where(there, values, 0.0)

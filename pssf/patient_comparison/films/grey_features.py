@@ -1,4 +1,4 @@
-"""Grey-value features of a normalised radiograph in three groups: subchondral bone plate, first order and texture."""
+"""Grey-value features of a normalised radiograph: subchondral bone plate, first-order features and texture."""
 
 import numpy as np
 from scipy import stats
@@ -10,19 +10,20 @@ from .film_normalisation import PITCH_MM
 from .film_outline import Outline
 from .outline_features import Features, find_plateau_edges, plateau_fractions
 
-# Side length of a patch, in mm.
+# Edge length of a square image patch, in mm.
 PATCH_MM = 16.0
-# Bone, position as a fraction of the plateau width from its middle (medial positive), and height above the contour, mm.
+# Position of each patch: bone, distance from the plateau middle as a fraction of the plateau width (medial positive),
+# and height of the patch centre above the bone contour in mm.
 PATCHES = {
     "medial_subchondral": ("tibia", 0.25, -11.0),
     "metaphysis": ("tibia", 0.0, -22.0),
     "medial_condyle": ("femur", 0.28, 14.0),
 }
-# Number of grey levels of the co-occurrence matrix.
+# Number of grey levels of the grey-level co-occurrence matrix.
 _GREY_LEVELS = 32
-# Properties of the co-occurrence matrix.
+# Measured properties of the grey-level co-occurrence matrix.
 _PROPERTIES = ("contrast", "homogeneity", "correlation", "energy")
-# Depth of the bone to which the brightness of the subchondral bone plate is compared, in mm.
+# Depth range of the reference bone for the brightness of the subchondral bone plate, in mm below the contour.
 _DEEP_BONE_MM = (8.0, 12.0)
 _SPECTRAL_FEATURES = ("slope_0.2_0.8", "vertical_over_horizontal", "sd_over_mean", "skewness", "excess_kurtosis")
 
@@ -35,7 +36,7 @@ def measure_grey_features(film: Array, outline: Outline) -> dict[str, Features]:
     film : (rows, cols) array, grey
         Normalised radiograph, 0 to 255.
     outline : Outline
-        Its bone contours.
+        Bone contours of the radiograph.
 
     Returns
     -------
@@ -44,7 +45,7 @@ def measure_grey_features(film: Array, outline: Outline) -> dict[str, Features]:
     """
     patches = {name: cut_patch(film, outline, *place) for name, place in PATCHES.items()}
     return {
-        "plate": _measure_subchondral_plate(film, outline),
+        "subchondral plate": _measure_subchondral_plate(film, outline),
         "first order": _measure_first_order(film, patches),
         "texture": {
             f"{name}_{key}": value for name, patch in patches.items() for key, value in _measure_texture(patch).items()
@@ -55,25 +56,25 @@ def measure_grey_features(film: Array, outline: Outline) -> dict[str, Features]:
 def cut_patch(film: Array, outline: Outline, bone: str, share: float, above_mm: float) -> Array:
     """Cut a square patch at a position relative to a bone contour.
 
-    The patch is moved inwards where it would extend beyond the image.
+    A patch that would extend beyond the image is shifted inwards.
 
     Parameters
     ----------
     film : (rows, cols) array, grey
         Normalised radiograph.
     outline : Outline
-        Its bone contours.
+        Bone contours of the radiograph.
     bone : {"femur", "tibia"}
         Bone whose contour is the reference.
     share : float
-        Position across the plateau, as a fraction of its width from its middle; medial is positive.
+        Distance from the plateau middle, as a fraction of the plateau width; positive medially.
     above_mm : float
         Height of the patch centre above the contour, in mm.
 
     Returns
     -------
     (side, side) array
-        Patch of 16 mm.
+        Patch of 16 mm edge length.
     """
     level, col = locate_patch_base(outline, bone, share)
     side = round(PATCH_MM / PITCH_MM)
@@ -83,7 +84,7 @@ def cut_patch(film: Array, outline: Outline, bone: str, share: float, above_mm: 
 
 
 def locate_patch_base(outline: Outline, bone: str, share: float) -> tuple[float, float]:
-    """Locate the point of a bone contour below or above a patch.
+    """Locate the point of a bone contour relative to which a patch is placed.
 
     Parameters
     ----------
@@ -92,7 +93,7 @@ def locate_patch_base(outline: Outline, bone: str, share: float) -> tuple[float,
     bone : {"femur", "tibia"}
         Bone whose contour is the reference.
     share : float
-        Position across the plateau, as a fraction of its width from its middle; medial is positive.
+        Distance from the plateau middle, as a fraction of the plateau width; positive medially.
 
     Returns
     -------
@@ -102,13 +103,13 @@ def locate_patch_base(outline: Outline, bone: str, share: float) -> tuple[float,
     left, right = find_plateau_edges(outline)
     col = (left + right) / 2 + share * (right - left)
     contour = outline.femur if bone == "femur" else outline.tibia
-    # In the middle, the spines interrupt the plateau, so the median of the contour is used.
+    # In the middle of the plateau, the tibial spines protrude, so the median height of the contour is used.
     level = np.median(contour) if share == 0 else np.interp(col, outline.columns, contour)
     return float(level), col
 
 
 def _measure_subchondral_plate(film: Array, outline: Outline) -> Features:
-    """Measure brightness, depth and width of the subchondral bone plate, relative to the bone behind it."""
+    """Measure brightness, depth and width of the subchondral bone plate, relative to bone at 8 to 12 mm depth."""
     values: Features = {}
     share = plateau_fractions(outline)
     for bone, contour, way in (("tibia", outline.tibia, 1), ("femur", outline.femur, -1)):
@@ -130,7 +131,7 @@ def _measure_subchondral_plate(film: Array, outline: Outline) -> Features:
 
 
 def _measure_first_order(film: Array, patches: dict[str, Array]) -> Features:
-    """Measure mean, SD, skewness and percentiles of the image, and mean and SD of each patch."""
+    """Measure mean, standard deviation, skewness and percentiles of the image, and mean and SD of each patch."""
     values = {f"p{at}": float(np.percentile(film, at)) for at in (5, 25, 50, 75, 95)}
     values |= {"mean": float(film.mean()), "sd": float(film.std()), "skewness": float(stats.skew(film, axis=None))}
     for name, patch in patches.items():
@@ -139,9 +140,9 @@ def _measure_first_order(film: Array, patches: dict[str, Array]) -> Features:
 
 
 def _measure_texture(patch: Array) -> Features:
-    """Measure power spectrum and grey-level co-occurrence of a patch.
+    """Measure power-spectrum and grey-level co-occurrence features of a patch.
 
-    Co-occurrence uses ranks of grey values, so that tone has no effect.
+    Co-occurrence uses ranks of grey values, so monotonic grey-value transforms have no effect.
     """
     spectral = measure_texture(patch, PITCH_MM)
     values = {name: spectral[name] for name in _SPECTRAL_FEATURES}

@@ -1,25 +1,25 @@
-"""Observer study: a sheet of patient and simulated radiographs in random order, with a separate key."""
+"""Observer study: a sheet of patient and simulated radiographs in random order, with a separate answer key."""
 
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ...study.report.report_page import Picture
+from ...study.report.report_elements import Picture
 from ..comparison_page import Row, Table
 from .contact_sheets import make_contact_sheet
 from .film_features import Record
 
-# Number of rows of the sheet.
+# Number of rows of the observer sheet.
 _ROWS = 4
-# Number of radiographs per row.
+# Number of radiographs per row of the observer sheet.
 _A_ROW = 6
 
 
 def select_observer_films(
     records: Mapping[str, Sequence[Record]], simulated: str, seed: int
 ) -> list[tuple[str, Record]]:
-    """Select 24 radiographs in random order, half of them patient radiographs.
+    """Select 12 patient and 12 simulated radiographs in random order.
 
     Parameters
     ----------
@@ -28,12 +28,12 @@ def select_observer_films(
     simulated : str
         Name of the source of simulated radiographs.
     seed : int
-        Seed of selection and order.
+        Seed of random selection and order.
 
     Returns
     -------
     list of tuple of (str, dict)
-        Source and record of each radiograph; empty if patient or simulated radiographs are too few.
+        Source name and record of each radiograph; empty if there are fewer than 12 patient or simulated radiographs.
     """
     usable = {name: [one for one in of if one["status"] == "found"] for name, of in records.items()}
     real = max((name for name in usable if name != simulated), key=lambda name: len(usable[name]), default=None)
@@ -48,34 +48,36 @@ def select_observer_films(
 def make_observer_sheet(
     films_in_order: Sequence[tuple[str, Record]], load_image: Callable[[str, Record], NDArray[np.uint8]]
 ) -> tuple[tuple[Picture, ...], tuple[Table, ...]]:
-    """Make the sheet of the observer study and its key.
+    """Make the sheet and the answer key of the observer study.
 
     Parameters
     ----------
     films_in_order : sequence of tuple of (str, dict)
-        Source and record of each radiograph, from :func:`select_observer_films`.
+        Source name and record of each radiograph, from :func:`select_observer_films`.
     load_image : callable
-        Function of source and record that returns the (rows, cols) uint8 radiograph.
+        Function that returns the (rows, cols) uint8 radiograph, given source name and record.
 
     Returns
     -------
     tuple of Picture
-        Sheet of radiographs; empty if there are none.
+        Sheet of radiographs; empty if `films_in_order` is empty.
     tuple of Table
-        Key, which is not displayed on the page; empty if there are no radiographs.
+        Answer key, which the page does not display; empty if `films_in_order` is empty.
     """
     if not films_in_order:
         return (), ()
     films = [load_image(name, one) for name, one in films_in_order]
     rows = [(f"{k + 1} to {k + _A_ROW}", films[k : k + _A_ROW]) for k in range(0, len(films), _A_ROW)]
     key: list[Row] = [
-        {"place": place, "source": name, "file": one["file"], "grade": one["grade"]}
+        {"position": place, "source": name, "file": one["file"], "grade": one["grade"]}
         for place, (name, one) in enumerate(films_in_order, start=1)
     ]
     figure = Picture(
-        name="blind",
+        name="observer_study",
         png=make_contact_sheet(rows),
         alt="24 radiographs, half of them simulated, in random order",
-        caption="(e) Observer study: half of these radiographs are simulated. The key is in films_blind.csv.",
+        caption="(e) Observer study: half of these radiographs are simulated. The key is in observer_study_key.csv.",
     )
-    return (figure,), (Table(name="films_blind", rows=key, caption="(e) Key of the observer study.", max_rows_shown=0),)
+    return (figure,), (
+        Table(name="observer_study_key", rows=key, caption="(e) Key of the observer study.", max_rows_shown=0),
+    )

@@ -1,4 +1,4 @@
-"""Outline features of a normalised radiograph in four groups: joint space, contour, margins and shape."""
+"""Contour features of a normalised radiograph in four groups: joint space, contour, margins and bone shape."""
 
 import numpy as np
 
@@ -7,19 +7,19 @@ from ...core.checks import Array
 from .film_normalisation import PITCH_MM
 from .film_outline import Outline
 
-# Positions across the plateau, as fractions of its width from its middle; medial is positive.
+# Positions at which contour heights are measured: distance from the plateau middle in plateau widths, medial positive.
 _STATION_FRACTIONS = np.round(np.linspace(-0.42, 0.42, 15), 2)
-# Half width within which the top of the notch is searched, as a fraction of the plateau width.
+# Distance from the plateau middle within which the top of the notch is searched, in plateau widths.
 _NOTCH = 0.14
-# Half width within which the spines are searched, as a fraction of the plateau width.
+# Distance from the plateau middle within which the tibial spines are searched, in plateau widths.
 _SPINES = 0.16
-# Depth below the contour at which the plateau is widest, in mm.
+# Depth range below the tibial contour in which the plateau is widest, in mm.
 _EDGE_MM = (3.0, 8.0)
-# Distances from the joint at which the sides of the bones are measured, in mm.
+# Distances from the joint at which bone margins are measured, in mm.
 _MARGIN_MM = (4.0, 8.0, 12.0, 18.0)
-# Medial compartment, as fractions of the plateau width from its medial edge.
+# Medial compartment, as fractions of the plateau width from the medial edge.
 _MEDIAL_BAND = (0.1, 0.3)
-# Lateral compartment, as fractions of the plateau width from its medial edge.
+# Lateral compartment, as fractions of the plateau width from the medial edge.
 _LATERAL_BAND = (0.7, 0.9)
 
 Features = dict[str, float]
@@ -45,7 +45,7 @@ def find_plateau_edges(outline: Outline) -> tuple[float, float]:
 
 
 def plateau_fractions(outline: Outline) -> Array:
-    """Express the columns of an outline as fractions of the plateau width from its middle.
+    """Express the columns of an outline as distances from the plateau middle, in plateau widths.
 
     Parameters
     ----------
@@ -55,14 +55,14 @@ def plateau_fractions(outline: Outline) -> Array:
     Returns
     -------
     (n,) array
-        Fraction of each column; medial is positive.
+        Distance of each column from the plateau middle, in plateau widths; positive medially.
     """
     left, right = find_plateau_edges(outline)
     return np.asarray((outline.columns - (left + right) / 2) / (right - left))
 
 
 def measure_shape_features(outline: Outline) -> dict[str, Features]:
-    """Measure the outline features; lengths are fractions of the plateau width, so that no pixel pitch is needed.
+    """Measure the contour features, with lengths as fractions of the plateau width; no pixel pitch is needed.
 
     Parameters
     ----------
@@ -91,30 +91,30 @@ def measure_shape_features(outline: Outline) -> dict[str, Features]:
 
 
 def _plateau_tilt(outline: Outline, share: Array, width: float) -> float:
-    """Measure the tilt of the plateau, as rows per plateau width, between 0.4 of the width on either side."""
+    """Measure the tilt of the plateau between 0.4 plateau widths on either side of its middle, dimensionless."""
     lateral, medial = (np.interp(at, share, outline.tibia) for at in (-0.4, 0.4))
     return float((medial - lateral) / 0.8 / width)
 
 
 def _measure_joint_space(share: Array, gap: Array) -> Features:
-    """Measure the joint space at the fractions of JSW(x), and its minimum and mean in each compartment.
+    """Measure the joint space at the positions of JSW(x), and the minimum and mean in each compartment.
 
-    `share` holds the fractions of the columns and `gap` the joint space, both as fractions of the plateau width.
+    `share` contains the column positions and `gap` the joint space, in plateau widths.
     """
     from_medial = 0.5 - share
     space = {f"at_{at:.3f}": float(np.interp(0.5 - at, share, gap)) for at in JSW_FRACTIONS}
-    least = {}
+    summary = {}
     for name, (low, high) in (("medial", _MEDIAL_BAND), ("lateral", _LATERAL_BAND)):
         inside = (from_medial >= low) & (from_medial <= high)
-        least[f"{name}_least"] = float(gap[inside].min())
-        least[f"{name}_mean"] = float(gap[inside].mean())
-    least["least"] = min(least["medial_least"], least["lateral_least"])
-    least["medial_less_lateral"] = least["medial_mean"] - least["lateral_mean"]
-    return space | least
+        summary[f"{name}_min"] = float(gap[inside].min())
+        summary[f"{name}_mean"] = float(gap[inside].mean())
+    summary["min"] = min(summary["medial_min"], summary["lateral_min"])
+    summary["medial_minus_lateral"] = summary["medial_mean"] - summary["lateral_mean"]
+    return space | summary
 
 
 def _measure_margins(outline: Outline, edges: tuple[float, float]) -> Features:
-    """Measure how far each bone extends beyond the plateau edge at several heights, and beyond its own flank."""
+    """Measure how far bone margins extend beyond the plateau edge, and beyond the margin 10 to 16 mm from the joint."""
     width = edges[1] - edges[0]
     values = {}
     for bone, rows, sides in (
@@ -152,13 +152,13 @@ def _measure_shape(outline: Outline, share: Array, femur: Array, tibia: Array) -
     return {
         "notch_depth": top - base,
         "notch_width": float(half[-1] - half[0]) if len(half) else 0.0,
-        "notch_at": float(notch_at),
-        "condyles_differ": lowest["medial"] - lowest["lateral"],
+        "notch_position": float(notch_at),
+        "condyle_height_difference": lowest["medial"] - lowest["lateral"],
         "medial_spine": spines["medial"][0],
         "lateral_spine": spines["lateral"][0],
-        "spines_apart": spines["medial"][1] - spines["lateral"][1],
-        "medial_dish": float(np.interp(0.25, share, tibia)),
-        "lateral_dish": float(np.interp(-0.25, share, tibia)),
+        "spine_distance": spines["medial"][1] - spines["lateral"][1],
+        "medial_plateau_depth": float(np.interp(0.25, share, tibia)),
+        "lateral_plateau_depth": float(np.interp(-0.25, share, tibia)),
         "metaphysis_width": float(narrow),
         "femur_width": float(broad),
     }

@@ -12,17 +12,18 @@ from ...data.imaging.display_table import DisplayProcessing
 from ...io.cohort_records import read_manifest
 from ...io.patients.patient_radiographs import Film
 from ...model.sampling.display_sampling import sample_processing_from_table
-from ..film_report import SIMULATED
 from .film_features import FilmSource, Record
 
-# Random stream of display processing, besides the streams of the cohort.
+# Source name of simulated radiographs.
+SIMULATED = "simulated"
+# Key of the random stream for display processing, different from the keys of the cohort.
 _LOOKS = 301
-# Random stream of pixel sizes.
+# Key of the random stream for pixel sizes.
 _PITCHES = 302
 
 
 def plan_simulated_films(protocol: str, knees: int, grade_table: str, grade_count: int, seed: int) -> Plan:
-    """Plan a cohort of sampled knees with equal numbers per grade and one sampled acquisition each.
+    """Plan a cohort of sampled knees with equal numbers per grade, and one sampled acquisition per knee.
 
     Parameters
     ----------
@@ -48,7 +49,7 @@ def plan_simulated_films(protocol: str, knees: int, grade_table: str, grade_coun
 
 
 def simulate_films(folder: Path, plan: Plan, known: DisplayProcessing, execution: Execution) -> FilmSource:
-    """Simulate the cohort, and sample display processing for each radiograph.
+    """Simulate the radiographs of a cohort, and sample display processing for each radiograph.
 
     Parameters
     ----------
@@ -87,7 +88,7 @@ def simulate_films(folder: Path, plan: Plan, known: DisplayProcessing, execution
 
 
 def match_pixel_sizes(simulated: FilmSource, records: Mapping[str, Sequence[Record]], seed: int) -> FilmSource:
-    """Sample pixel sizes of simulated radiographs from the patient source with the most localised joints.
+    """Sample the pixel sizes of simulated radiographs from the patient source with the most localised joints.
 
     Parameters
     ----------
@@ -101,12 +102,12 @@ def match_pixel_sizes(simulated: FilmSource, records: Mapping[str, Sequence[Reco
     Returns
     -------
     FilmSource
-        Simulated radiographs with the pixel size to which they are reduced, whatever their grade.
+        Simulated radiographs with the pixel sizes to which they are reduced; the sizes do not depend on grade.
 
     Notes
     -----
-    Reduction blurs a radiograph and would distinguish it from one that was not reduced. Patient crops are reduced to a
-    fixed number of pixels, so that their pixel size relative to the knee varies from crop to crop.
+    Reduction to larger pixels blurs a radiograph, so a classifier could distinguish reduced from original radiographs.
+    Patient crops are reduced to a fixed number of pixels, so the pixel size relative to the knee differs between crops.
     """
     pitches = [sorted(float(one["pitch_mm"]) for one in of if one["status"] == "found") for of in records.values()]
     known = max(pitches, key=len, default=[])

@@ -1,4 +1,4 @@
-"""Grey values of tissues relative to each other on a radiograph, in its own display values."""
+"""Relative grey values of tissues on a radiograph, measured in the original display values."""
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -15,24 +15,24 @@ from .grey_features import (
 )
 from .outline_features import Features, plateau_fractions
 
-# Distance of the soft-tissue region from the medial side of the tibia, in mm.
+# Range of distances of the soft-tissue region from the medial contour of the tibia, in mm.
 _SOFT_TISSUE_MM = (4.0, 9.0)
-# Depth of the soft-tissue region below the joint, in mm.
+# Range of distances of the soft-tissue region below the joint, in mm.
 _BELOW_JOINT_MM = (16.0, 26.0)
-# Depth of the bone regions beside the joint space, in mm.
+# Depth range of the bone regions above and below the joint space, in mm from the bone contour.
 _INSIDE_BONE_MM = (4.0, 8.0)
-# Depth of the shaft region below the joint, in mm.
+# Range of distances of the shaft region below the joint, in mm.
 _SHAFT_MM = (55.0, 65.0)
 # Half width of the shaft region, in mm.
 _SHAFT_HALF_MM = 24.0
 # Half width of the medullary canal, in mm.
 _CANAL_MM = 4.0
-# Largest pitch that resolves 2 cycles/mm, in mm.
+# Largest pixel pitch that resolves 2 cycles/mm, in mm.
 _MAX_FINE_PITCH_MM = 0.25
 
 
 def measure_tone(film: Array, field: Array, outline: Outline, place: JointPosition) -> Features:
-    """Measure tissue contrasts, and relative grey values where the radiograph shows the shaft.
+    """Measure tissue contrasts and, if the radiograph shows the shaft, relative grey values.
 
     Relative grey values are 0 for soft tissue and 1 for the cortex of the shaft.
 
@@ -45,7 +45,7 @@ def measure_tone(film: Array, field: Array, outline: Outline, place: JointPositi
     outline : Outline
         Bone contours of `field`.
     place : JointPosition
-        Position of the joint on `film`.
+        Position of the joint centre on `film`.
 
     Returns
     -------
@@ -54,19 +54,19 @@ def measure_tone(film: Array, field: Array, outline: Outline, place: JointPositi
     """
     soft, bone = _soft_tissue_grey(field, outline), float(cut_patch(field, outline, *PATCHES["metaphysis"]).mean())
     values = {
-        "bone_over_soft": bone / soft if soft > 0 else float("nan"),
+        "bone_to_soft_tissue_ratio": bone / soft if soft > 0 else float("nan"),
         "joint_space": _joint_space_contrast(field, outline),
     }
     cortex, canal = _shaft_greys(film, place)
     if cortex > soft:
         greys = {name: float(cut_patch(field, outline, *spot).mean()) for name, spot in PATCHES.items()}
-        greys |= {"canal": canal, "medial_plate": _plate_grey(field, outline)}
+        greys |= {"canal": canal, "medial_subchondral_plate": _plate_grey(field, outline)}
         values |= {f"{name}_tone": (grey - soft) / (cortex - soft) for name, grey in greys.items()}
     return values
 
 
 def measure_fine_texture(film: Array, outline: Outline, place: JointPosition, pixel_mm: float) -> Features:
-    """Measure texture of three regions at the original pixel pitch.
+    """Measure the texture of three bone regions at the original pixel pitch.
 
     Parameters
     ----------
@@ -75,14 +75,14 @@ def measure_fine_texture(film: Array, outline: Outline, place: JointPosition, pi
     outline : Outline
         Bone contours of the normalised radiograph.
     place : JointPosition
-        Position of the joint on `film`.
+        Position of the joint centre on `film`.
     pixel_mm : float
         Pixel pitch of the radiograph, in mm.
 
     Returns
     -------
     dict of str to float
-        Features by name; empty if the pitch does not resolve 2 cycles/mm.
+        Features by name; empty if the pixel pitch does not resolve 2 cycles/mm.
     """
     if pixel_mm > _MAX_FINE_PITCH_MM:
         return {}
@@ -113,7 +113,7 @@ def _soft_tissue_grey(field: Array, outline: Outline) -> float:
 
 
 def _joint_space_contrast(field: Array, outline: Outline) -> float:
-    """Measure (bone - joint space) / (bone + joint space) in the medial compartment."""
+    """Measure the contrast (bone - joint space) / (bone + joint space) of grey values in the medial compartment."""
     share = plateau_fractions(outline)
     chosen = (share > 0.15) & (share < 0.38)
     cols, femur, tibia = (part[chosen].astype(int) for part in (outline.columns, outline.femur, outline.tibia))
@@ -125,7 +125,7 @@ def _joint_space_contrast(field: Array, outline: Outline) -> float:
 
 
 def _plate_grey(field: Array, outline: Outline) -> float:
-    """Measure the brightest mean row within 4 mm of the medial plateau contour."""
+    """Measure the highest mean grey value of a row within 4 mm below the medial plateau contour."""
     share = plateau_fractions(outline)
     chosen = (share > 0.15) & (share < 0.38)
     cols, tibia = (part[chosen].astype(int) for part in (outline.columns, outline.tibia))
@@ -134,7 +134,7 @@ def _plate_grey(field: Array, outline: Outline) -> float:
 
 
 def _shaft_greys(film: Array, place: JointPosition) -> tuple[float, float]:
-    """Measure the grey values of cortex and canal of the tibial shaft; NaN if the image does not show the shaft."""
+    """Measure grey values of cortex and medullary canal of the tibial shaft; NaN if the image excludes the shaft."""
     below = np.arange(*_SHAFT_MM, PITCH_MM)
     across = np.arange(-_SHAFT_HALF_MM, _SHAFT_HALF_MM, PITCH_MM)
     rows, cols = place.to_pixels(below, across)

@@ -1,1 +1,1 @@
-"""Radiomic features of a region: bone mask, shape, first-order and texture features, and tables of them."""
+"""Radiomic features of a region: bone mask, shape, first-order and texture features, and feature tables."""

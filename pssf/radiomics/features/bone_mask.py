@@ -1,4 +1,4 @@
-"""Bone mask: segmentation of the bone in a region, so that shape features measure its outline."""
+"""Bone mask: segmentation of the bone in a region, for shape features of the bone."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,41 +9,53 @@ from skimage.segmentation import watershed
 
 from ...core.checks import Array
 
-_DENSITY_SD_MM = 0.8  # standard deviation of the Gaussian before thresholds; wider than noise and trabeculae
-_GRADIENT_SD_MM = 0.8  # the same before the gradient; a narrower one lets the outline follow the noise
-_MAX_SURE_SPACE_MM = 10.0  # largest height of a dip in density that is definitely joint space
-_MAX_SPACE_MM = 16.0  # largest height of a joint space at the detector, at its opening to the notch
-_BAND_MM = 8.0  # width inside Otsu's outline in which the gradient decides between soft tissue and bone
-_SEAM_MM = 2.0  # the same beside the joint space and outside Otsu's outline
-_JOINT_REACH_MM = 16.0  # distance of joint space and notch from the middle row
-_MIN_DIP = 0.04  # of ln(signal): a joint space has at least 4 % more signal than above and below; less is noise
-_MIN_SPACE_FRACTION = 0.002  # of the region; smaller pieces of joint space are gaps between trabeculae
-_MIN_BONE_FRACTION = 0.05  # of the bone; smaller pieces are noise
-_SOFT = 1  # marker of soft tissue
-_BONE = 2  # marker of bone
+# Standard deviation of the Gaussian filter before thresholding, in mm; larger than noise and trabeculae.
+_DENSITY_SD_MM = 0.8
+# Standard deviation of the Gaussian filter before the gradient, in mm; a smaller value makes the outline follow noise.
+_GRADIENT_SD_MM = 0.8
+# Maximum height of a local density minimum that is definitely joint space, in mm.
+_MAX_SURE_SPACE_MM = 10.0
+# Maximum height of the joint space at the detector, where it opens into the intercondylar notch, in mm.
+_MAX_SPACE_MM = 16.0
+# Width of the band inside the Otsu outline in which the gradient separates soft tissue from bone, in mm.
+_BAND_MM = 8.0
+# Width of the band around the joint space and outside the Otsu outline in which the gradient decides, in mm.
+_SEAM_MM = 2.0
+# Maximum vertical distance of joint space and notch from the middle row, in mm.
+_JOINT_REACH_MM = 16.0
+# Minimum difference of ln(signal) between joint space and adjacent bone, about 4 %; smaller differences are noise.
+_MIN_DIP = 0.04
+# Minimum area of a connected component of joint space, as a fraction of the region; smaller ones are trabecular gaps.
+_MIN_SPACE_FRACTION = 0.002
+# Minimum area of a connected component of bone, as a fraction of the bone area; smaller components are noise.
+_MIN_BONE_FRACTION = 0.05
+# Watershed marker of soft tissue.
+_SOFT = 1
+# Watershed marker of bone.
+_BONE = 2
 
 
 def segment_bone(region: NDArray[np.generic], pixel_mm: float) -> NDArray[np.bool_]:
-    """Segment the bone by a watershed of the gradient from markers (Meyer and Beucher 1990, J Vis Commun Image R 1).
+    """Segment the bone by a marker-based watershed of the gradient (Meyer and Beucher 1990, J Vis Commun Image R 1).
 
     Parameters
     ----------
     region : (rows, cols) array, DN
-        Linear signal, or any signal whose logarithm decreases with attenuation. The joint line is at the middle row.
+        Linear signal, or any signal whose logarithm decreases with attenuation. The joint line is in the middle row.
     pixel_mm : float
         Pixel size, in mm.
 
     Returns
     -------
     (rows, cols) bool array
-        True inside bone; all True for a region of one grey value.
+        True inside bone; True everywhere for a constant region.
 
     Notes
     -----
-    Bone markers are deep inside the dense part of the limb, which Otsu's threshold (Otsu 1979) of the log signal gives.
-    Soft tissue markers are outside of that part, and in the joint space. The joint space is where the signal is higher
-    than above and below it (black top-hat; Serra 1982). The outline is the strongest gradient between the markers,
-    whatever soft tissue overlies it.
+    Otsu's threshold (Otsu 1979) of the log signal separates dense from less dense pixels. Bone markers are deep inside
+    the dense region. Soft-tissue markers are outside the dense region and in the joint space. In the joint space, the
+    signal is higher than above and below (black top-hat; Serra 1982). The bone outline is the strongest gradient
+    between the markers, even where soft tissue is superimposed.
     """
     log_signal = np.log(np.maximum(region.astype(np.float64), 1.0))
     density = -gaussian_filter(log_signal, _DENSITY_SD_MM / pixel_mm)
@@ -51,14 +63,14 @@ def segment_bone(region: NDArray[np.generic], pixel_mm: float) -> NDArray[np.boo
         return np.ones(region.shape, dtype=bool)
     markers = _make_markers(density, pixel_mm)
     if not (markers == _BONE).any():
-        bone = density >= threshold_otsu(density)  # The bone is narrower than the band, so there is no marker.
+        bone = density >= threshold_otsu(density)  # A bone narrower than the band has no marker.
     else:
         bone = watershed(gradient_magnitude(log_signal, _GRADIENT_SD_MM / pixel_mm), markers) == _BONE
     return _remove_small_pieces(bone, _MIN_BONE_FRACTION * int(bone.sum()))
 
 
 def _make_markers(density: Array, pixel_mm: float) -> NDArray[np.int32]:
-    """Mark definite soft tissue with 1, definite bone with 2, and the pixels between them with 0."""
+    """Make the watershed markers: 1 for definite soft tissue, 2 for definite bone, 0 for undecided pixels."""
     dense = density >= threshold_otsu(density)
     deep = _distance_to_outside_px(dense) > _BAND_MM / pixel_mm
     near_joint = np.abs(np.arange(density.shape[0]) - density.shape[0] // 2)[:, None] < _JOINT_REACH_MM / pixel_mm
@@ -78,16 +90,16 @@ def _make_markers(density: Array, pixel_mm: float) -> NDArray[np.int32]:
 
 
 def _compute_black_top_hat(density: Array, height_px: float) -> Array:
-    """Compute the black top-hat along columns: the depth of each pixel below its surroundings within a height."""
+    """Compute the black top-hat along columns, with a structuring element of a given height."""
     return np.asarray(grey_closing(density, size=(2 * int(height_px / 2) + 1, 1)) - density)
 
 
 def _distance_to_outside_px(inside: NDArray[np.bool_]) -> Array:
-    """Compute the distance of each pixel from the nearest one outside, in pixels; infinite if there is none."""
+    """Compute the distance from each pixel to the nearest pixel outside a mask, in pixels; infinite for a full mask."""
     return np.full(inside.shape, np.inf) if inside.all() else np.asarray(distance_transform_edt(inside))
 
 
 def _remove_small_pieces(mask: NDArray[np.bool_], least_px: float) -> NDArray[np.bool_]:
-    """Remove connected pieces of fewer pixels than a limit."""
+    """Remove connected components with fewer pixels than `least_px`."""
     pieces, _ = label(mask)
     return mask & (np.bincount(pieces.ravel()) >= least_px)[pieces]

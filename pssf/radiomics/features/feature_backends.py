@@ -1,4 +1,4 @@
-"""Feature backends: the library that measures features, pyradiomics if it is installed, else MIRP."""
+"""Feature backends: the libraries pyradiomics and MIRP, which measure radiomic features."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -9,16 +9,16 @@ from ...core.checks import InputError, require_choice
 
 @dataclass(frozen=True, kw_only=True)
 class Backend:
-    """A library that measures features.
+    """Library that measures radiomic features.
 
     Attributes
     ----------
     module : str
-        Module that is imported.
+        Name of the Python module of the library.
     libraries : tuple of str
-        Libraries whose versions affect the values, by their names in the package index.
+        Package names (PyPI) of the libraries whose versions affect feature values.
     missing_features : tuple of str
-        Features that the other backend has and this one lacks.
+        Features that this backend does not have, but the other backend has.
     """
 
     module: str
@@ -26,7 +26,7 @@ class Backend:
     missing_features: tuple[str, ...] = ()
 
 
-# The first one that is installed is the default.
+# Backends by name; the first installed backend is the default.
 BACKENDS = {
     "pyradiomics": Backend(module="radiomics", libraries=("pyradiomics", "simpleitk")),
     "mirp": Backend(module="mirp", libraries=("mirp",), missing_features=("glcm_MCC",)),
@@ -39,18 +39,18 @@ def is_installed(name: str) -> bool:
     Parameters
     ----------
     name : str
-        One of BACKENDS.
+        Name of the backend, one of BACKENDS.
 
     Returns
     -------
     bool
-        True if it can be imported.
+        True if the module of the backend is installed.
     """
     return find_spec(BACKENDS[name].module) is not None
 
 
 def default_backend() -> str:
-    """Return the first of BACKENDS that is installed.
+    """Return the name of the first installed backend in BACKENDS.
 
     Returns
     -------
@@ -65,14 +65,13 @@ def default_backend() -> str:
     installed = [name for name in BACKENDS if is_installed(name)]
     if not installed:
         raise InputError(
-            f"a radiomics backend must be installed, {' or '.join(BACKENDS)}, got none: install MIRP with "
-            "pip install 'pssf[study]'"
+            f"no radiomics backend ({' or '.join(BACKENDS)}) is installed: install MIRP with pip install 'pssf[study]'"
         )
     return installed[0]
 
 
 def require_backend(name: str) -> None:
-    """Require that a backend is known and installed.
+    """Check that a backend is known and installed.
 
     Parameters
     ----------
@@ -82,7 +81,7 @@ def require_backend(name: str) -> None:
     Raises
     ------
     InputError
-        The backend is unknown, or is not installed.
+        The backend is unknown or not installed.
     """
     require_choice("backend", name, tuple(BACKENDS))
     if not is_installed(name):
@@ -91,16 +90,16 @@ def require_backend(name: str) -> None:
 
 
 def select_backend(name: str, features: Iterable[str], consumer: str) -> str:
-    """Select an installed backend that measures some features: the named one, else another that has all of them.
+    """Select the named backend if it is installed, else an installed backend that has all required features.
 
     Parameters
     ----------
     name : str
-        Backend that first measured the features, one of BACKENDS.
+        Preferred backend, one of BACKENDS.
     features : iterable of str
-        Names of the features, such as glcm_Contrast.
+        Names of the required features, such as glcm_Contrast.
     consumer : str
-        Object that uses the features, to name in the message.
+        Name of the model or object that needs the features, for the error message.
 
     Returns
     -------
@@ -110,7 +109,7 @@ def select_backend(name: str, features: Iterable[str], consumer: str) -> str:
     Raises
     ------
     InputError
-        No installed backend has all the features.
+        No installed backend has all required features.
     """
     require_choice("backend", name, tuple(BACKENDS))
     if is_installed(name):
@@ -118,5 +117,5 @@ def select_backend(name: str, features: Iterable[str], consumer: str) -> str:
     other = default_backend()
     lacking = [feature for feature in features if feature in BACKENDS[other].missing_features]
     if lacking:
-        raise InputError(f"{consumer} must have {', '.join(lacking)}, got {other}, which lacks them: install {name}")
+        raise InputError(f"{consumer} needs {', '.join(lacking)}, which backend {other} does not have: install {name}")
     return other

@@ -1,4 +1,4 @@
-"""Feature extraction: radiomic features of one region, by one of the backends, under their pyradiomics names."""
+"""Feature extraction: measurement of the radiomic features of a region by a backend, with pyradiomics names."""
 
 from collections.abc import Collection
 from typing import Protocol
@@ -12,13 +12,13 @@ from .feature_backends import default_backend, require_backend
 from .feature_families import FAMILIES, TEXTURES
 from .ibsi_tags import IbsiTags
 
-# Shift and scale of grey values do not change these features, so those of the z-score would be duplicates. Entropy and
-# Uniformity of the z-score would also depend on its last bit, where a grey value is at the edge of a bin.
+# First-order features that do not change if grey values are shifted and scaled. They would be duplicates for the
+# z-score. Entropy and Uniformity of the z-score would also depend on rounding errors of grey values at a bin edge.
 _AFFINE_INVARIANT = ("Entropy", "Uniformity", "Skewness", "Kurtosis")
 
 
 class FeatureExtractor(Protocol):
-    """A backend that measures features."""
+    """Interface of a backend that measures features."""
 
     def first_order(
         self,
@@ -39,14 +39,14 @@ class FeatureExtractor(Protocol):
         bins : int
             Number of grey-level bins.
         leave_out : collection of str
-            Names of features to leave out.
+            Names of features to omit.
         mask : (rows, cols) bool array or None
-            True for the pixels to measure; None measures all of them.
+            True for the pixels to measure; None measures all pixels.
 
         Returns
         -------
         dict of str to float
-            Feature name, without family, to value.
+            Value of each feature, keyed by name without family.
         """
 
     def shape(self, mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
@@ -55,14 +55,14 @@ class FeatureExtractor(Protocol):
         Parameters
         ----------
         mask : (rows, cols) bool array
-            True inside the shape.
+            True inside the measured object.
         pixel_mm : float
             Pixel size, in mm.
 
         Returns
         -------
         dict of str to float
-            Feature name, without family, to value; lengths in mm and areas in mm2.
+            Value of each feature, keyed by name without family; lengths in mm and areas in mm2.
         """
 
     def textures(
@@ -78,7 +78,7 @@ class FeatureExtractor(Protocol):
         Parameters
         ----------
         values : (rows, cols) array, any unit
-            Grey values, which are divided into equal bins from their minimum to their maximum.
+            Grey values. They are divided into bins of equal width from minimum to maximum.
         pixel_mm : float
             Pixel size, in mm.
         bins : int
@@ -86,12 +86,12 @@ class FeatureExtractor(Protocol):
         families : collection of str
             Families of texture features.
         mask : (rows, cols) bool array or None
-            True for the pixels to measure; None measures all of them.
+            True for the pixels to measure; None measures all pixels.
 
         Returns
         -------
         dict of str to dict of str to float
-            Family to feature name, without family, to value.
+            Value of each feature, keyed by family and then by name without family.
         """
 
 
@@ -104,11 +104,11 @@ def extract_features(
     backend: str | None = None,
     mask: NDArray[np.bool_] | None = None,
 ) -> dict[str, float]:
-    """Measure the features of a region, under names such as `glcm_Contrast`.
+    """Measure the features of a region, with names such as `glcm_Contrast`.
 
-    First-order features are measured twice: of the linear signal (`firstorder_linear_*`), and of its z-score over the
-    region (`firstorder_z_*`). Shape features are those of the bone in the region. Texture features are measured from
-    the integers in equal bins from minimum to maximum, so that gain and offset do not affect them.
+    First-order features are measured twice: from the linear signal (`firstorder_linear_*`) and from its z-score over
+    the region (`firstorder_z_*`). Shape features describe the segmented bone in the region. Texture features are
+    measured after binning from minimum to maximum, so gain and offset do not affect them.
 
     Parameters
     ----------
@@ -117,21 +117,22 @@ def extract_features(
     pixel_mm : float
         Pixel size, in mm.
     tags : dict of str to dict of str to str
-        Family to feature to its IBSI tag, by which MIRP features are identified; see `load_ibsi_tags`.
+        IBSI tag of each feature, keyed by family and then by feature name; see `load_ibsi_tags`. MIRP features are
+        identified by these tags.
     bins : int
-        Number of grey-level bins. A power of two keeps the edges of the bins exact.
+        Number of grey-level bins. With a power of two, bin edges are free of rounding errors.
     families : collection of str
-        Any of FAMILIES. Families that are left out cost no time.
+        Families to measure, from FAMILIES.
     backend : {"pyradiomics", "mirp"} or None
-        Library that measures; None for the first that is installed.
+        Feature library; None for pyradiomics if it is installed, else MIRP.
     mask : (size, size) bool array or None
-        True for the pixels to measure, whose shape is measured too; None measures all pixels, and the shape of the
-        bone.
+        True for the pixels to measure; shape features then describe the mask. If None, all pixels are measured and
+        shape features describe the segmented bone.
 
     Returns
     -------
     dict of str to float
-        Feature name to value.
+        Value of each feature, keyed by feature name.
 
     Raises
     ------
@@ -139,7 +140,7 @@ def extract_features(
         The grey values are not integers, a family is unknown, or the backend is not installed.
     """
     if not np.issubdtype(region.dtype, np.integer):
-        raise InputError(f"region must be of integers, got {region.dtype}: bins of floats depend on their last bit")
+        raise InputError(f"region must have an integer type, got {region.dtype}: rounding errors would affect the bins")
     for name in families:
         require_choice("family", name, FAMILIES)
     by = load_extractor(default_backend() if backend is None else backend, tags)
@@ -163,9 +164,9 @@ def load_extractor(backend: str, tags: IbsiTags) -> FeatureExtractor:
     Parameters
     ----------
     backend : str
-        One of BACKENDS.
+        Name of the backend, one of BACKENDS.
     tags : dict of str to dict of str to str
-        Family to feature to its IBSI tag; see `load_ibsi_tags`.
+        IBSI tag of each feature, keyed by family and then by feature name; see `load_ibsi_tags`.
 
     Returns
     -------
@@ -175,7 +176,7 @@ def load_extractor(backend: str, tags: IbsiTags) -> FeatureExtractor:
     Raises
     ------
     InputError
-        The backend is unknown, or is not installed.
+        The backend is unknown or not installed.
     """
     require_backend(backend)
     if backend == "mirp":
@@ -188,12 +189,12 @@ def load_extractor(backend: str, tags: IbsiTags) -> FeatureExtractor:
 
 
 def _prefix_names(prefix: str, values: dict[str, float]) -> dict[str, float]:
-    """Add a family to the names of features."""
+    """Add a prefix to the names of features."""
     return {f"{prefix}_{name}": value for name, value in values.items()}
 
 
 def _compute_z_score(region: NDArray[np.generic], mask: NDArray[np.bool_] | None) -> Array:
-    """Scale values (size, size) to mean 0 and standard deviation 1 over the mask; zeros for a constant region."""
+    """Scale grey values to mean 0 and standard deviation 1 over the mask; return zeros for a constant region."""
     values = region.astype(np.float64)
     measured = values if mask is None else values[mask]
     spread = measured.std()

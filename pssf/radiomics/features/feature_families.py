@@ -1,4 +1,4 @@
-"""Feature families: their names, and the family of a feature."""
+"""Feature families: names of the families, and the family of a feature."""
 
 FAMILIES = ("firstorder", "shape2D", "glcm", "glrlm", "glszm", "ngtdm", "gldm")
 TEXTURES = tuple(name for name in FAMILIES if name not in ("firstorder", "shape2D"))
@@ -15,6 +15,6 @@ def feature_family(name: str) -> str:
     Returns
     -------
     str
-        One of FAMILIES.
+        Name of the family, one of FAMILIES.
     """
     return name.split("_", 1)[0]

@@ -1,4 +1,4 @@
-"""Feature table: one record per radiograph, with location and features. Records of an earlier run are reused."""
+"""Feature table: measurement of many radiographs in parallel, with reuse of records of an earlier run."""
 
 import hashlib
 import json
@@ -26,15 +26,15 @@ from .feature_families import FAMILIES
 Record = dict[str, Any]
 LoadPixels = Callable[[str], NDArray[np.uint16]]
 Measurement = tuple[Record, dict[str, float]]
-# Further columns of a displayed radiograph, about what was given or estimated.
+# Further record columns of a displayed radiograph: side, polarity, source of the pixel size, and number of knees.
 FILM_COLUMNS = ("film_side", "film_polarity", "film_pixel_from", "film_knees")
 TEXT_COLUMNS = ("radiograph", "sha256", "settings", "checksum", "status", *FILM_COLUMNS)
 SCORE_COLUMNS = ("score", "compartment_score", "side_margin", "orientation_margin", "scale")
 NON_FEATURE_COLUMNS = (*TEXT_COLUMNS, "row_px", "col_px", "film_pixel_mm", *SCORE_COLUMNS)
-# A record also depends on the code and tables of these packages, on readers of files too.
+# Subpackages whose code and tables determine a record; their hashes are part of the settings hash.
 _CODE_PACKAGES = ("core", "data", "detector", "io", "radiomics")
 _LIBRARIES = ("numpy", "scikit-image", "scipy")
-# Interval between two calls of `save`, in seconds.
+# Minimum interval between two calls of `save`, in seconds.
 SAVE_INTERVAL_S = 10
 
 
@@ -47,13 +47,13 @@ class MeasurementJob:
     radiograph : str
         Name of the radiograph.
     file : str
-        File name that the loader gets.
+        File name, passed to the function that loads pixels.
     sha256 : str
-        SHA-256 of the file.
+        SHA-256 hash of the file.
     side : {"right", "left"} or None
-        Side of the knee; None only for a patient radiograph whose side is not known.
+        Left or right knee; None only for a patient radiograph of unknown side.
     pixel_mm : float or None
-        Pixel size, in mm; None only for a patient radiograph whose pixel size is not known.
+        Pixel size, in mm; None only for a patient radiograph of unknown pixel size.
     """
 
     radiograph: str
@@ -65,18 +65,18 @@ class MeasurementJob:
 
 @dataclass(frozen=True, kw_only=True)
 class ExtractionSettings:
-    """Settings for the measurement of linear pixels: everything, except pixels, that a record depends on.
+    """Settings for the measurement of radiographs with linear pixels.
 
     Parameters
     ----------
     region_px : int
-        Side of the region, in pixels.
+        Edge length of the region, in pixels.
     bins : int
         Number of grey-level bins.
     families : tuple of str
-        Families of features.
+        Feature families to measure.
     backend : str
-        "pyradiomics" or "mirp"; by default the first that is installed.
+        Feature library, "pyradiomics" or "mirp". The default is pyradiomics if it is installed, else MIRP.
     """
 
     region_px: int = 512
@@ -105,39 +105,39 @@ def measure_radiographs(
     jobs : sequence of MeasurementJob
         Radiographs to measure.
     load_pixels : callable
-        Function of the file name that returns the pixels (rows, cols), or another input of `measure_job`. It must be
-        picklable for several workers.
+        Function that returns the pixels (rows, cols), or another input of `measure_job`, given the file name. It must
+        be picklable if there are several workers.
     templates : sequence of Template
         Template radiographs.
     settings : ExtractionSettings or other settings of `measure_job`
-        Settings of the measurement.
+        Measurement settings.
     tables : RadiomicsTables
-        Settings of the localisation, and feature tags.
+        Localisation settings and IBSI tags.
     execution : Execution or None
-        Workers and progress display; None for one process without display.
+        Workers and progress display. If None, one process without progress display is used.
     known_records : dict of str to dict, or None
-        SHA-256 to record of an earlier run. A record is reused if its settings are the same and its checksum is
-        correct.
+        Records of an earlier run, keyed by SHA-256 of the file. A record is reused if its settings are the same and its
+        checksum is correct.
     save : callable
-        Function that gets the list of all records so far, at intervals, so that an interrupted run can continue.
+        Function that is called at intervals with the list of all available records, so an interrupted run can resume.
     measure_job : callable or None
-        Function that measures one radiograph; None for `measure_radiograph`.
+        Function that measures one radiograph; None means `measure_radiograph`.
     stage_name : str
         Label of the progress display.
 
     Returns
     -------
     records : list of dict
-        Records in the order of the jobs, whichever worker measured them.
+        Records in the order of the jobs.
     seconds : dict of str to float
         Total run time of the steps "localisation" and "features".
 
     Raises
     ------
     InputError
-        A worker has other code.
+        The code of a worker process differs from the code of this process.
     WorkersLostError
-        Workers are killed repeatedly.
+        Worker processes are killed repeatedly.
     """
     execution, key = execution or Execution(), hash_settings(templates, settings)
     known_records = {sha: record for sha, record in (known_records or {}).items() if _is_current(record, key)}
@@ -185,22 +185,22 @@ def measure_radiograph(
 ) -> Measurement:
     """Measure one radiograph with linear pixels.
 
-    A rejected match has its position and score in the record, and no features.
+    If the best match is rejected, the record has its position and scores, but no features.
 
     Parameters
     ----------
     job : MeasurementJob
         Radiograph to measure, with known side and pixel size.
     load_pixels : callable
-        Function of the file name that returns linear pixels (rows, cols), DN.
+        Function that returns linear pixels (rows, cols) in DN, given the file name.
     templates : sequence of Template
         Template radiographs.
     settings : ExtractionSettings
-        Settings of the measurement.
+        Measurement settings.
     tables : RadiomicsTables
-        Settings of the localisation, and feature tags.
+        Localisation settings and IBSI tags.
     code : dict of str to str
-        Hashes of the code where the run started, from `compute_code_hashes`.
+        Code hashes of the process that started the run, from `compute_code_hashes`.
 
     Returns
     -------
@@ -212,7 +212,7 @@ def measure_radiograph(
     Raises
     ------
     InputError
-        The code on this machine is another.
+        The code of this process differs from `code`.
     """
     require_same_code(code)
     assert job.side is not None
@@ -240,7 +240,7 @@ def measure_radiograph(
 
 
 def hash_settings(templates: Sequence[Template], settings: Any) -> str:
-    """Compute a hash of everything, except the pixels, that a record depends on, code and libraries included.
+    """Compute a hash of all inputs of a record except the pixels: settings, templates, code and library versions.
 
     Parameters
     ----------
@@ -264,12 +264,12 @@ def hash_settings(templates: Sequence[Template], settings: Any) -> str:
 
 
 def _is_current(record: Mapping[str, Any], key: str) -> bool:
-    """Return whether a record has the current settings and a correct checksum."""
+    """Report whether a record has the current settings hash and a correct checksum."""
     return record.get("settings") == key and record.get("checksum") == _checksum(record)
 
 
 def _checksum(record: Mapping[str, Any]) -> str:
-    """Compute the checksum of a record without its name; NaN counts as missing."""
+    """Compute the checksum of a record, without the name of the radiograph and without NaN values."""
     texts = {name: value if name in TEXT_COLUMNS else repr(float(value)) for name, value in sorted(record.items())}
     kept = {name: value for name, value in texts.items() if value != "nan" and name not in ("radiograph", "checksum")}
     return hashlib.sha256(json.dumps(kept).encode()).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""IBSI tags: correspondence of features with those of the Image Biomarker Standardisation Initiative (IBSI)."""
+"""Tags of features in the reference of the Image Biomarker Standardisation Initiative (IBSI)."""
 
 from collections.abc import Mapping
 
@@ -8,14 +8,14 @@ IbsiTags = Mapping[str, Mapping[str, str]]
 
 
 def find_ibsi_tag(name: str, tags: IbsiTags) -> str:
-    """Find the tag of a feature in the reference values of the IBSI.
+    """Find the IBSI tag of a feature.
 
     Parameters
     ----------
     name : str
         Feature name from `extract_features`.
     tags : dict of str to dict of str to str
-        Family to feature to its IBSI tag; see `load_ibsi_tags`.
+        IBSI tag of each feature, keyed by family and then by feature name; see `load_ibsi_tags`.
 
     Returns
     -------
@@ -26,24 +26,25 @@ def find_ibsi_tag(name: str, tags: IbsiTags) -> str:
 
 
 def find_ibsi_departure(name: str, tags: IbsiTags) -> str:
-    """Describe how a feature departs from the definition of the IBSI.
+    """Describe how a feature differs from its IBSI definition.
 
     Parameters
     ----------
     name : str
         Feature name from `extract_features`.
     tags : dict of str to dict of str to str
-        Tables of the IBSI, with their entry "departures"; see `load_ibsi_tags`.
+        IBSI tables with the entry "departures"; see `load_ibsi_tags`.
 
     Returns
     -------
     str
-        Departure, or a remark that the IBSI does not define the feature; empty if there is no departure.
+        Difference from the definition, or a note that the IBSI does not define the feature; empty if there is no
+        difference.
     """
     departures = tags["departures"]
     return departures.get(f"{feature_family(name)}_{_short_name(name)}", departures.get(feature_family(name), ""))
 
 
 def _short_name(name: str) -> str:
-    """Return the name of a feature without its family and image."""
+    """Return the name of a feature without family and image prefix."""
     return name.rsplit("_", 1)[1]

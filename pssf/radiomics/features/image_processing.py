@@ -1,10 +1,11 @@
-"""Image processing between radiograph and features, in words, by the reporting items of the IBSI."""
+"""Description of the image processing from radiograph to features, by the reporting items of the IBSI."""
 
 from collections.abc import Collection
 
 from .feature_families import TEXTURES
 
-# Settings of both backends, which agree with the digital phantom of the IBSI ("2D, averaged").
+# Texture settings of the two backends. With these settings, both reproduce the reference values of the IBSI digital
+# phantom for the aggregation "2D, averaged".
 _TEXTURE_PROCESSING = {
     "glcm": "neighbours at 1 pixel in 4 directions, symmetric, not weighted by distance; averaged over directions",
     "glrlm": "runs in 4 directions, not weighted by distance; averaged over directions",
@@ -15,21 +16,21 @@ _TEXTURE_PROCESSING = {
 
 
 def describe_processing(region_px: int, bins: int, families: Collection[str]) -> dict[str, str | dict[str, str]]:
-    """Describe the processing of grey values, step by step.
+    """Describe each step of the grey-value processing in words.
 
     Parameters
     ----------
     region_px : int
-        Side of the region, in pixels.
+        Edge length of the region, in pixels.
     bins : int
         Number of grey-level bins.
     families : collection of str
-        Any of FAMILIES. Steps that only other families need are left out.
+        Measured families, from FAMILIES. Steps that these families do not need are omitted.
 
     Returns
     -------
     dict of str to str, or to dict of str to str
-        Step to its description; the step "texture" maps each family to the construction of its matrix.
+        Description of each step, keyed by step. The step "texture" has a description of the matrix of each family.
     """
     steps: dict[str, str | dict[str, str]] = {
         "images": "one linear radiograph for processing; no derived image",

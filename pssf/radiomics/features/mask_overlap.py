@@ -1,4 +1,4 @@
-"""Mask overlap: agreement of a segmented mask with the true one."""
+"""Mask overlap: agreement of a segmented mask with the true mask."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,8 @@ def compute_mask_overlap(segmented: NDArray[np.bool_], true: NDArray[np.bool_], 
     Returns
     -------
     dict of str to float
-        dice: Dice coefficient. mean_mm and p95_mm: mean and 95th percentile of the distances of the pixels of either
-        outline from the other outline (Taha and Hanbury 2015). area: segmented area relative to the true one. All but
+        dice: Dice coefficient. mean_mm and p95_mm: mean and 95th percentile of the distances from the pixels of each
+        outline to the other outline (Taha and Hanbury 2015). area: segmented area divided by true area. All values but
         dice are NaN if a mask is empty.
     """
     both = int(segmented.sum()) + int(true.sum())
@@ -35,7 +35,7 @@ def compute_mask_overlap(segmented: NDArray[np.bool_], true: NDArray[np.bool_], 
 
 
 def _find_outline(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Find the pixels of a mask (rows, cols) that touch pixels outside; the edge of the image is no outline."""
+    """Find the outline pixels of a mask (rows, cols), which are adjacent to pixels outside; ignore the image border."""
     inner: NDArray[np.bool_] = binary_erosion(mask, border_value=1)
-    # A mask that fills the image has no outline, so the edge of the image is used.
+    # A mask that fills the image has no other outline, so the image border is used.
     return mask & ~inner if (mask & ~inner).any() else mask & ~binary_erosion(mask)

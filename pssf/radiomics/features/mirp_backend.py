@@ -1,7 +1,7 @@
-"""MIRP backend: the same features by MIRP (Zwanenburg 2024), which follows the IBSI, under their pyradiomics names.
+"""MIRP backend: features measured by MIRP (Zwanenburg 2024), which follows the IBSI, with pyradiomics names.
 
-Features are identified by their IBSI tag. MIRP has no shape features of a mask in the plane, so `shape2d` measures
-them. Its MCC differs from that of pyradiomics and is left out.
+Features are identified by their IBSI tag. MIRP has no 2D shape features, so `shape2d` measures them. The MCC of MIRP
+differs from that of pyradiomics and is omitted.
 """
 
 import logging
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from .ibsi_tags import IbsiTags
 from .shape2d import measure_shape
 
-# MIRP names of a family, and the part of its feature names after the tag: distance, aggregation or bins.
+# MIRP names of each family, and the suffix of MIRP feature names after the IBSI tag: distance, aggregation or binning.
 _FAMILIES = {
     "firstorder": (("statistics", "intensity_histogram"), "_fbn"),
     "glcm": (("glcm",), "_d1_"),
@@ -25,7 +25,7 @@ _FAMILIES = {
     "ngtdm": (("ngtdm",), "_2d"),
     "gldm": (("ngldm",), "_d1_"),
 }
-# Settings that agree with pyradiomics.
+# MIRP settings that give the same results as pyradiomics.
 _SETTINGS = {
     "by_slice": True,
     "ibsi_compliant": False,
@@ -50,7 +50,7 @@ class MirpExtractor:
     Attributes
     ----------
     tags : dict of str to dict of str to str
-        Family to feature to its IBSI tag; see `load_ibsi_tags`.
+        IBSI tag of each feature, keyed by family and then by feature name; see `load_ibsi_tags`.
     """
 
     tags: IbsiTags
@@ -74,17 +74,17 @@ class MirpExtractor:
         bins : int
             Number of grey-level bins.
         leave_out : collection of str
-            Names of features to leave out.
+            Names of features to omit.
         mask : (rows, cols) bool array or None
-            True for the pixels to measure; None measures all of them.
+            True for the pixels to measure; None measures all pixels.
 
         Returns
         -------
         dict of str to float
-            Feature name, without family, to value.
+            Value of each feature, keyed by name without family.
         """
         known = self._select_tagged("firstorder", measure_with_mirp(values, bins, ("firstorder",), mask))
-        known["Kurtosis"] += 3  # MIRP has the excess kurtosis, pyradiomics has not.
+        known["Kurtosis"] += 3  # MIRP gives excess kurtosis, pyradiomics kurtosis.
         known["TotalEnergy"] = known["Energy"] * pixel_mm**2
         return _sort_like_pyradiomics({name: value for name, value in known.items() if name not in leave_out})
 
@@ -94,14 +94,14 @@ class MirpExtractor:
         Parameters
         ----------
         mask : (rows, cols) bool array
-            True inside the shape.
+            True inside the measured object.
         pixel_mm : float
             Pixel size, in mm.
 
         Returns
         -------
         dict of str to float
-            Feature name, without family, to value; lengths in mm and areas in mm2.
+            Value of each feature, keyed by name without family; lengths in mm and areas in mm2.
         """
         return measure_shape(mask, pixel_mm)
 
@@ -118,7 +118,7 @@ class MirpExtractor:
         Parameters
         ----------
         values : (rows, cols) array, any unit
-            Grey values, which are divided into equal bins from their minimum to their maximum.
+            Grey values. They are divided into bins of equal width from minimum to maximum.
         pixel_mm : float
             Pixel size, in mm.
         bins : int
@@ -126,32 +126,32 @@ class MirpExtractor:
         families : collection of str
             Families of texture features.
         mask : (rows, cols) bool array or None
-            True for the pixels to measure; None measures all of them.
+            True for the pixels to measure; None measures all pixels.
 
         Returns
         -------
         dict of str to dict of str to float
-            Family to feature name, without family, to value.
+            Value of each feature, keyed by family and then by name without family.
         """
         theirs = measure_with_mirp(values, bins, families, mask) if families else {}
         return {name: _sort_like_pyradiomics(self._select_tagged(name, theirs)) for name in families}
 
     def list_unused_tags(self, family: str, values: NDArray[np.generic], bins: int) -> list[str]:
-        """List the IBSI tags of features that MIRP measures in a family and this package does not use.
+        """List the IBSI tags of the features of a family that MIRP measures but this package does not use.
 
         Parameters
         ----------
         family : str
-            Family of features.
+            Feature family.
         values : (rows, cols) array, any unit
-            Grey values of any image.
+            Grey values of an arbitrary image, in which MIRP measures the features.
         bins : int
             Number of grey-level bins.
 
         Returns
         -------
         list of str
-            IBSI tags.
+            IBSI tags of unused features.
         """
         end = _FAMILIES[family][1]
         names = [name for name in measure_with_mirp(values, bins, (family,)) if not name.startswith("image_")]
@@ -159,7 +159,7 @@ class MirpExtractor:
         return [tag for tag in (name.split(end)[0] for name in names) if tag not in taken]
 
     def _select_tagged(self, family: str, theirs: dict[str, float]) -> dict[str, float]:
-        """Select the features of a family that have an IBSI tag, under their pyradiomics names."""
+        """Select the features of a family by IBSI tag, and rename them to pyradiomics names."""
         end = _FAMILIES[family][1]
         values: dict[str, float] = {}
         for name, tag in self.tags[family].items():
@@ -170,7 +170,7 @@ class MirpExtractor:
 def measure_with_mirp(
     values: NDArray[np.generic], bins: int, families: Collection[str], mask: NDArray[np.bool_] | None = None
 ) -> dict[str, float]:
-    """Measure all features that MIRP has in some families, under their MIRP names.
+    """Measure all MIRP features of the given families, with MIRP names.
 
     Parameters
     ----------
@@ -179,16 +179,16 @@ def measure_with_mirp(
     bins : int
         Number of grey-level bins.
     families : collection of str
-        Families of features.
+        Feature families to measure.
     mask : (rows, cols) bool array or None
-        True for the pixels to measure; None measures all of them.
+        True for the pixels to measure; None measures all pixels.
 
     Returns
     -------
     dict of str to float
-        MIRP name to value.
+        Value of each feature, keyed by MIRP name.
     """
-    import mirp  # The import takes seconds, so it is made only when it is needed.
+    import mirp  # The import takes seconds, so it is deferred.
 
     with warnings.catch_warnings(), _silence_mirp_log():
         warnings.simplefilter("ignore")
@@ -205,14 +205,14 @@ def measure_with_mirp(
 def _sort_like_pyradiomics(values: dict[str, float]) -> dict[str, float]:
     """Sort features as pyradiomics does, by the names of its methods.
 
-    The order matters, because a selection removes the later one of two features that correlate.
+    The order matters, because feature selection removes the second of two correlated features.
     """
     return {name: values[name] for name in sorted(values, key=lambda name: f"get{name}FeatureValue")}
 
 
 @contextmanager
 def _silence_mirp_log() -> Iterator[None]:
-    """Prevent that MIRP adds a log handler of its own, which prints every image to stdout."""
+    """Prevent MIRP from adding a log handler that prints a line for every image to stdout."""
     root, silent = logging.getLogger(), logging.NullHandler()
     root.addHandler(silent)
     try:

@@ -1,6 +1,6 @@
-"""pyradiomics backend: features by pyradiomics 3.0.1 (van Griethuysen 2017), with the IBSI aggregation "2D, averaged".
+"""pyradiomics backend: features of pyradiomics 3.0.1 (van Griethuysen 2017), IBSI aggregation "2D, averaged".
 
-Departures of pyradiomics from the IBSI: kurtosis is not excess kurtosis (IBSI + 3); shape2D, TotalEnergy, MCC and
+Differences between pyradiomics and the IBSI: kurtosis is not excess kurtosis (IBSI + 3); shape2D, TotalEnergy, MCC and
 StandardDeviation are not IBSI features; NGTDM counts pixels without neighbours.
 """
 
@@ -26,28 +26,28 @@ _BINNED_FEATURES = {"Entropy", "Uniformity"}
 
 
 class _FirstOrder(firstorder.RadiomicsFirstOrder):  # type: ignore[misc]
-    """First-order features with every central moment computed once, and without those that are left out.
+    """First-order features of pyradiomics, with each central moment computed once and omitted features skipped.
 
-    Repeated moments took a quarter of the time of all features. Products instead of powers would be faster still, but
-    differ in the last bit.
+    In pyradiomics, repeated computation of moments takes a quarter of the time of all features. Products instead of
+    powers would be even faster, but differ in the last bit.
     """
 
-    __module__ = firstorder.__name__  # pyradiomics names its log after the module.
+    __module__ = firstorder.__name__  # pyradiomics uses the module name as the log name.
     left_out: Collection[str] = ()
 
-    def _applyBinning(self, matrix: Any) -> Any:  # noqa: N802 (the library's own name)
+    def _applyBinning(self, matrix: Any) -> Any:  # noqa: N802 (name in the library)
         """Bin the grey values only if a feature needs the bins."""
         return np.zeros(matrix.shape, int) if set(self.left_out) >= _BINNED_FEATURES else super()._applyBinning(matrix)
 
     def _initCalculation(self, voxelCoordinates: Any = None) -> None:  # noqa: N802
-        """Prepare the calculation without the features that are left out."""
+        """Prepare the calculation and disable omitted features."""
         super()._initCalculation(voxelCoordinates)
         self._moments: dict[int, Any] = {}
         for name in self.left_out:
             self.enableFeatureByName(name, False)
 
     def _moment(self, a: Any, moment: int = 1) -> Any:
-        """Return a central moment (1,) of the pixels (1, pixels) of the region, which `a` always is."""
+        """Return a central moment (1,) of the pixels of the region (1, pixels); `a` is the same array in every call."""
         if moment not in self._moments:
             self._moments[moment] = super()._moment(a, moment)
         return self._moments[moment]
@@ -71,14 +71,14 @@ def first_order(
     bins : int
         Number of grey-level bins.
     leave_out : collection of str
-        Names of features to leave out.
+        Names of features to omit.
     mask : (rows, cols) bool array or None
-        True for the pixels to measure; None measures all of them.
+        True for the pixels to measure; None measures all pixels.
 
     Returns
     -------
     dict of str to float
-        Feature name, without family, to value.
+        Value of each feature, keyed by name without family.
     """
     kind = type("FirstOrder", (_FirstOrder,), {"left_out": tuple(leave_out), "__module__": firstorder.__name__})
     return measure_family(kind, values, _make_mask(values, mask), pixel_mm, binCount=bins)
@@ -90,14 +90,14 @@ def shape(mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
     Parameters
     ----------
     mask : (rows, cols) bool array
-        True inside the shape.
+        True inside the measured object.
     pixel_mm : float
         Pixel size, in mm.
 
     Returns
     -------
     dict of str to float
-        Feature name, without family, to value; lengths in mm and areas in mm2.
+        Value of each feature, keyed by name without family; lengths in mm and areas in mm2.
     """
     return measure_family(shape2D.RadiomicsShape2D, mask.astype(np.uint8), mask.astype(np.uint8), pixel_mm)
 
@@ -114,7 +114,7 @@ def textures(
     Parameters
     ----------
     values : (rows, cols) array, any unit
-        Grey values, which are divided into equal bins from their minimum to their maximum.
+        Grey values. They are divided into bins of equal width from minimum to maximum.
     pixel_mm : float
         Pixel size, in mm.
     bins : int
@@ -122,12 +122,12 @@ def textures(
     families : collection of str
         Families of texture features.
     mask : (rows, cols) bool array or None
-        True for the pixels to measure; None measures all of them.
+        True for the pixels to measure; None measures all pixels.
 
     Returns
     -------
     dict of str to dict of str to float
-        Family to feature name, without family, to value.
+        Value of each feature, keyed by family and then by name without family.
     """
     square = _make_mask(values, mask)
     kinds = {name: kind for name, kind in TEXTURES.items() if name in families}
@@ -139,9 +139,9 @@ def textures(
 
 
 def _share_binning(kind: Any, cache: dict[str, Any]) -> Any:
-    """Make a variant of a family that reuses the bins which another family made of the same pixels.
+    """Make a subclass of a family that reuses the binned pixels of another family.
 
-    `cache` holds the bins and is empty before the first family.
+    `cache` stores the binned pixels; it is empty before the first family is measured.
     """
 
     def apply(self: Any, matrix: Any) -> Any:
@@ -157,12 +157,12 @@ def _share_binning(kind: Any, cache: dict[str, Any]) -> Any:
 def measure_family(
     kind: Any, values: NDArray[np.generic], mask: NDArray[np.uint8], pixel_mm: float, **discretisation: Any
 ) -> dict[str, float]:
-    """Measure all features of one pyradiomics family in one image.
+    """Measure all features of a pyradiomics family in one image.
 
     Parameters
     ----------
     kind : type
-        Class of the family, such as `radiomics.glcm.RadiomicsGLCM`.
+        pyradiomics class of the family, such as `radiomics.glcm.RadiomicsGLCM`.
     values : (rows, cols) array, any unit
         Grey values.
     mask : (rows, cols) uint8 array
@@ -170,30 +170,31 @@ def measure_family(
     pixel_mm : float
         Pixel size, in mm.
     **discretisation : object
-        Settings of pyradiomics, such as binCount.
+        pyradiomics settings of the discretisation, such as binCount.
 
     Returns
     -------
     dict of str to float
-        pyradiomics name to value.
+        Value of each feature, keyed by pyradiomics name.
     """
-    logging.getLogger("radiomics").setLevel(logging.CRITICAL)  # pyradiomics reports every family on stderr.
+    logging.getLogger("radiomics").setLevel(logging.CRITICAL)  # pyradiomics logs every family to stderr.
     image, of = _make_image(values, pixel_mm, None), _make_image(mask, pixel_mm, 0)
-    # One slice of a 3D image, measured in its plane. A true 2D image gives wrong values with these settings.
+    # The image is one slice of a 3D image, measured in its plane; a 2D image gives wrong values with these settings.
     features = kind(image, of, force2D=True, force2Ddimension=0, **discretisation)
     features.enableAllFeatures()
     return {name: float(value) for name, value in features.execute().items()}
 
 
 def _make_mask(values: NDArray[np.generic], mask: NDArray[np.bool_] | None) -> NDArray[np.uint8]:
-    """Convert a mask to uint8; ones everywhere without a mask."""
+    """Convert a mask to uint8; return ones everywhere if the mask is None."""
     return np.ones(values.shape, dtype=np.uint8) if mask is None else mask.astype(np.uint8)
 
 
 def _make_image(values: NDArray[np.generic], pixel_mm: float, outside: int | None) -> sitk.Image:
-    """Make a SimpleITK image of one slice with a border of one pixel.
+    """Make a SimpleITK image with one slice and a border of one pixel.
 
-    pyradiomics 3.0.1 rejects a mask without zeros. `outside` is the value of the border, or None to repeat the edge.
+    The border is needed because pyradiomics 3.0.1 rejects a mask without zeros. `outside` is the value of the border;
+    None repeats the edge pixels.
     """
     padded = np.pad(values, 1, mode="edge") if outside is None else np.pad(values, 1, constant_values=outside)
     image = sitk.GetImageFromArray(padded[None])

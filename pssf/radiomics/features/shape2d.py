@@ -1,7 +1,7 @@
-"""Shape of a mask in the plane, by the definitions of pyradiomics shape2D, for backends without such features.
+"""2D shape features of a mask, as defined by pyradiomics shape2D, for backends without 2D shape features.
 
-The outline is found by marching squares (Lorensen and Cline 1987, in the plane): it crosses half way between the
-centres of pixels inside and outside. Two pixels that touch diagonally are separate bodies, as in pyradiomics.
+The outline is found by marching squares (2D form of Lorensen and Cline 1987). It passes midway between the centres of
+adjacent pixels inside and outside. Pixels that touch only diagonally are not connected, as in pyradiomics.
 """
 
 from contextlib import suppress
@@ -13,9 +13,10 @@ from scipy.spatial.distance import pdist
 
 from ...core.checks import Array
 
-# Area inside a square of four pixel centres, as a fraction of it, by the corners that are inside.
+# Area inside the outline within a square of four pixel centres, as a fraction of the square, by arrangement of the
+# corners that are inside.
 _AREAS = {"none": 0.0, "one": 0.125, "side": 0.5, "diagonal": 0.25, "three": 0.875, "four": 1.0}
-# Length of the outline in such a square, in pixels.
+# Length of the outline within a square of four pixel centres, in pixels, by arrangement of the corners inside.
 _LENGTHS = {"none": 0.0, "one": 0.5**0.5, "side": 1.0, "diagonal": 2 * 0.5**0.5, "three": 0.5**0.5, "four": 0.0}
 
 _NAMES = (
@@ -25,22 +26,23 @@ _NAMES = (
 
 
 def measure_shape(mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
-    """Measure the shape of a mask.
+    """Measure the 2D shape features of a mask.
 
     Parameters
     ----------
     mask : (rows, cols) bool array
-        True inside the shape.
+        True inside the measured object.
     pixel_mm : float
         Pixel size, in mm.
 
     Returns
     -------
     dict of str to float
-        Feature name to value; lengths in mm and areas in mm2. All are NaN for an empty mask.
+        Value of each feature, keyed by name; lengths in mm and areas in mm2. All values are NaN for an empty mask.
     """
     if not mask.any():
         return dict.fromkeys(_NAMES, np.nan)
+    # skimage.measure is not used, because it takes 6.6 times as long and differs by up to 9e-16.
     inside = np.pad(mask, 1)
     counts = _count_squares(inside)
     area_mm2 = pixel_mm**2 * sum(_AREAS[kind] * count for kind, count in counts.items())
@@ -61,7 +63,7 @@ def measure_shape(mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
 
 
 def _count_squares(inside: NDArray[np.bool_]) -> dict[str, int]:
-    """Count the squares of four pixel centres by the number and arrangement of corners inside."""
+    """Count the squares of four pixel centres by number and arrangement of the corners inside the mask."""
     one, two, three, four = inside[:-1, :-1], inside[:-1, 1:], inside[1:, :-1], inside[1:, 1:]
     corners = one.astype(int) + two + three + four
     kinds = ("none", "one", "side", "three", "four")
@@ -71,13 +73,13 @@ def _count_squares(inside: NDArray[np.bool_]) -> dict[str, int]:
 
 
 def _find_crossings(inside: NDArray[np.bool_]) -> Array:
-    """Find where the outline crosses between neighbouring pixels, (points, 2) in px."""
+    """Find the points (points, 2), in px, at which the outline passes between neighbouring pixels."""
     down, across = (np.argwhere(inside[1:] != inside[:-1]), np.argwhere(inside[:, 1:] != inside[:, :-1]))
     return np.concatenate([down + np.array([0.5, 0.0]), across + np.array([0.0, 0.5])])
 
 
 def _largest_distance_px(points: Array) -> float:
-    """Compute the largest distance between two of the points (points, 2), in px, from their convex hull."""
-    with suppress(QhullError):  # Points on one line have no hull.
+    """Compute the largest distance between two of several points (points, 2), in px, from their convex hull."""
+    with suppress(QhullError):  # Collinear points have no convex hull.
         points = points[ConvexHull(points).vertices]
     return float(pdist(points).max())

@@ -1,16 +1,16 @@
-"""Texture of trabecular bone: power spectrum and grey values of a patch."""
+"""Texture of trabecular bone: power-spectrum and grey-value features of a patch."""
 
 import numpy as np
 from scipy import stats
 
 from ...core.checks import Array
 
-# Frequency that pixels must resolve before fine structures are measured, in cycles/mm.
+# Minimum Nyquist frequency of the pixels for which fine structures are measured, in cycles/mm.
 _MIN_RESOLVED_PER_MM = 2.75
 
 
 def measure_texture(patch: Array, pixel_mm: float) -> dict[str, float]:
-    """Measure the texture of a square patch, after subtraction of its quadratic trend, under a Hann window.
+    """Measure the texture of a square patch after subtraction of the quadratic trend.
 
     Parameters
     ----------
@@ -22,10 +22,11 @@ def measure_texture(patch: Array, pixel_mm: float) -> dict[str, float]:
     Returns
     -------
     dict of str to float
-        slope_LOW_HIGH: slope of the radially averaged power spectrum in the log-log plane, between two frequencies in
-        cycles/mm. vertical_over_horizontal: power of vertical relative to horizontal lines (within 30 deg), at 0.3 to
-        1.5 cycles/mm. fine_over_coarse: mean power at 2 to 3 relative to that at 0.4 to 0.8 cycles/mm, only if the
-        pixels resolve most of it. sd_over_mean, skewness and excess_kurtosis: statistics of the grey values.
+        slope_LOW_HIGH: slope of the radially averaged power spectrum (log-log, Hann window) between two frequencies in
+        cycles/mm. vertical_over_horizontal: power of vertical lines divided by power of horizontal lines (within 30
+        deg), at 0.3 to 1.5 cycles/mm. fine_over_coarse: mean power at 2 to 3 cycles/mm divided by mean power at 0.4 to
+        0.8 cycles/mm; omitted if pixels are too coarse. sd_over_mean, skewness and excess_kurtosis: statistics of the
+        grey values.
     """
     side = len(patch)
     row, col = (part.ravel() for part in np.mgrid[:side, :side] / side)

@@ -1,1 +1,1 @@
-"""Localisation of the medial joint line in radiographs, by the correlation of edges with templates."""
+"""Localisation of the medial joint line in radiographs by correlation of image edges with template edges."""

@@ -1,4 +1,4 @@
-"""Reduced templates: only the part that localisation reads, so that a saved model can include them."""
+"""Cropping of templates to the area that localisation uses, which makes them small enough for a saved model."""
 
 from dataclasses import replace
 
@@ -8,25 +8,25 @@ from ...core.resample import downsample_by_blocks
 from ...data.analysis.localisation_table import LocalisationSettings
 from .templates import MAX_SEARCH_PIXEL_MM, Template
 
-# Margin about a patch, in tiles of its edge comparison.
+# Margin around a patch, in standard deviations of the window for edge normalisation.
 _TILES = 2.0
-# Factor of the size of a patch that blur and rotations need, dimensionless.
+# Factor by which the cropped area is larger than a patch because of blur and rotation, dimensionless.
 _MORE = 1.15
 
 
 def crop_template(template: Template, region_mm: float, table: LocalisationSettings) -> Template:
     """Reduce a template to the pixel size and the area that localisation uses.
 
-    Localisation with the result agrees with that of the full template, up to rounding.
+    Localisation gives the same result with the full and the reduced template, up to rounding.
 
     Parameters
     ----------
     template : Template
         Template to reduce.
     region_mm : float
-        Side of the region about the joint line that must remain too, in mm, as far as the template covers it.
+        Edge length of a region around the joint line that is also kept, in mm, as far as the template contains it.
     table : LocalisationSettings
-        Search settings, which give the area.
+        Search settings, which determine the area.
 
     Returns
     -------

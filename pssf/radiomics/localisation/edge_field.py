@@ -1,4 +1,4 @@
-"""Edge fields: edges of a radiograph by direction, largely independent of its grey scale, for template matching."""
+"""Edge fields for template matching: normalised gradients of a radiograph, largely independent of its grey scale."""
 
 from functools import lru_cache
 
@@ -8,29 +8,29 @@ from scipy import ndimage
 
 from ...core.checks import Array
 
-# Standard deviation of the Gaussian before the gradient, in pixels of the resampled image.
+# Standard deviation of the Gaussian derivative filter, in pixels of the resampled image.
 _BLUR_PX = 1.0
-# Fraction of the mean squared edge of the image that is added to that of a window, so that faint edges count little.
+# Fraction of the mean squared gradient of the image that is added to that of a window, to suppress faint edges.
 _FAINT = 0.02
 
 
 def compute_edge_field(density: Array, tile_px: float) -> NDArray[np.float32]:
-    """Compute edges by direction: the gradient divided by the strength of the edges around it.
+    """Compute the edge field of an image: the gradient, divided by the gradient strength in a window around each pixel.
 
-    A monotone tone curve keeps the directions and hardly changes the relative strengths within a window. A displayed
-    radiograph is therefore comparable with the logarithm of a signal.
+    An increasing tone curve does not change gradient directions, and hardly changes relative strengths in a window. The
+    edge field of a displayed radiograph is therefore comparable with that of a log signal.
 
     Parameters
     ----------
     density : (rows, cols) array, any unit
-        Values that increase with attenuation, bone bright.
+        Image values that increase with attenuation (bone bright).
     tile_px : float
-        Standard deviation of the window in which edges are compared, in pixels.
+        Standard deviation of the Gaussian window for normalisation, in pixels.
 
     Returns
     -------
     (2, rows, cols) float32 array
-        Components down and right, dimensionless: 0 without edges, at most 1 in magnitude.
+        Downward and rightward component, dimensionless; magnitude 0 to 1.
     """
     blurred = [ndimage.gaussian_filter(density, _BLUR_PX, order=order, mode="nearest") for order in ((1, 0), (0, 1))]
     squared = blurred[0] ** 2 + blurred[1] ** 2
@@ -40,22 +40,22 @@ def compute_edge_field(density: Array, tile_px: float) -> NDArray[np.float32]:
     return np.stack(blurred / strength).astype(np.float32)
 
 
-@lru_cache(maxsize=128)  # A run uses few lengths.
+@lru_cache(maxsize=128)  # A run needs only a few different lengths.
 def _make_gaussian_matrix(length: int, sd_px: float) -> Array:
-    """Make the matrix (length, length) of a Gaussian filter of values (length,).
+    """Make the matrix (length, length) of a 1D Gaussian filter.
 
-    The matrix product takes a third of the time of the filter.
+    Filtering by matrix product takes a third of the time of `gaussian_filter1d`.
     """
     return np.asarray(ndimage.gaussian_filter1d(np.eye(length), sd_px, axis=0, mode="nearest"))
 
 
 class Pyramid:
-    """An image and its edge fields at several pixel sizes, each computed once.
+    """Image pyramid with edge fields at several pixel sizes, each computed once.
 
     Parameters
     ----------
     density : (rows, cols) array, any unit
-        Image whose pixel size counts as 1.
+        Original image.
     """
 
     def __init__(self, density: Array) -> None:
@@ -64,7 +64,7 @@ class Pyramid:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Rows and columns of the image."""
+        """Rows and columns of the original image."""
         return self.levels[0].shape
 
     def edges(self, zoom: float, tile_px: float) -> NDArray[np.float32]:
@@ -73,14 +73,14 @@ class Pyramid:
         Parameters
         ----------
         zoom : float
-            Size of the resampled image relative to the original.
+            Size of the resampled image divided by the size of the original image.
         tile_px : float
-            Standard deviation of the window in which edges are compared, in pixels of the resampled image.
+            Standard deviation of the Gaussian window for normalisation, in pixels of the resampled image.
 
         Returns
         -------
         (2, rows, cols) float32 array
-            Components down and right, dimensionless.
+            Downward and rightward component, dimensionless.
         """
         asked = (zoom, tile_px)
         if asked not in self._edges:
@@ -88,12 +88,12 @@ class Pyramid:
         return self._edges[asked]
 
     def resample_image(self, zoom: float) -> Array:
-        """Resample the image without aliasing; pixel i of the result is at (i + 0.5) / zoom - 0.5 of the original.
+        """Resample the image without aliasing; pixel i of the result is at (i + 0.5) / zoom - 0.5 in the original.
 
         Parameters
         ----------
         zoom : float
-            Size of the resampled image relative to the original.
+            Size of the resampled image divided by the size of the original image.
 
         Returns
         -------
@@ -106,7 +106,7 @@ class Pyramid:
         level = min(level, len(self.levels) - 1)
         image, rest = self.levels[level], zoom * 2**level
         shape = [max(1, round(length * zoom)) for length in self.shape]
-        # After the halvings, each target pixel covers 1 to 2 source pixels.
+        # In the selected pyramid level, each target pixel covers 1 to 2 source pixels per axis.
         soft = ndimage.gaussian_filter(image, 0.5 * np.sqrt(max(1.0 / rest**2 - 1.0, 0.0)), mode="nearest")
         down, across = ((np.arange(length) + 0.5) / rest - 0.5 for length in shape)
         return _interpolate_rows(_interpolate_rows(soft, down).T, across).T
@@ -115,7 +115,7 @@ class Pyramid:
 def _interpolate_rows(values: Array, positions: Array) -> Array:
     """Interpolate the rows of an array (n, m) linearly at row positions (k,); return (k, m).
 
-    Positions outside use the first or last row.
+    A position outside the array gives the first or last row.
     """
     within = np.clip(positions, 0, len(values) - 1)
     first = np.minimum(within.astype(np.int64), max(0, len(values) - 2))
@@ -127,7 +127,7 @@ def _interpolate_rows(values: Array, positions: Array) -> Array:
 def _halve_image(image: Array) -> Array:
     """Average blocks of 2 x 2 pixels; return (rows // 2, cols // 2).
 
-    `downsample_by_blocks` takes twice as long and sums in another order.
+    `downsample_by_blocks` is not used, because it takes twice as long and rounds differently.
     """
     rows, cols = (length // 2 * 2 for length in image.shape)
     pairs = image[:rows:2, :cols] + image[1:rows:2, :cols]

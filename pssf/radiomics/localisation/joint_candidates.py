@@ -1,4 +1,4 @@
-"""Candidates of the joint: the best matches of the whole joint, each with the best medial compartment near it."""
+"""Candidates for the joint: best whole-joint matches, each with the best medial-compartment match nearby."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,7 +14,7 @@ from .templates import Template, make_poses
 
 @dataclass(frozen=True, kw_only=True)
 class MatchPair:
-    """A match of the whole joint, and the best match of the medial compartment near it.
+    """Whole-joint match, and the best medial-compartment match near it.
 
     Attributes
     ----------
@@ -29,31 +29,31 @@ class MatchPair:
 
     @property
     def mean_score(self) -> float:
-        """Mean of both scores, dimensionless."""
+        """Mean score of the two matches, dimensionless."""
         return (self.joint_match.score + self.compartment_match.score) / 2
 
     @property
     def excess(self) -> float:
-        """Sum of both scores, each minus its score by chance, dimensionless."""
+        """Sum of the two scores, each minus its chance score, dimensionless."""
         return self.joint_match.excess + self.compartment_match.excess
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidates:
-    """Matches of the whole joint in an image, of all sizes, sides and orientations.
+    """Whole-joint matches in an image, for all sizes, left and right knees, and orientations.
 
     Attributes
     ----------
     image : Pyramid
-        Image that is searched.
+        Searched image.
     templates : tuple of Template
-        Template radiographs of the medial compartment.
+        Template radiographs for the medial compartment.
     matches : sequence of Match
-        Matches of the whole joint.
+        Whole-joint matches.
     table : LocalisationSettings
         Search settings and thresholds.
     chance_slope : float
-        Increase of the chance score of a compartment match with the natural logarithm of the pixel size.
+        Increase of the chance score of a compartment match per unit of the natural logarithm of the pixel size.
     """
 
     image: Pyramid
@@ -63,34 +63,34 @@ class Candidates:
     chance_slope: float
 
     def select_pair(self, way: str, side: str) -> MatchPair:
-        """Select the best of the leading whole-joint matches of a side, judged together with its medial compartment.
+        """Select the whole-joint match of a side that has the best sum of whole-joint and compartment score.
 
-        A knee of a wrong size can match as a whole about as well as one of the right size whose shape differs from the
-        templates. Its medial compartment does not.
+        The whole-joint score alone is not sufficient. It can be as high for a wrong size as for the right size if the
+        bone shape differs from the templates. The compartment score is lower for a wrong size.
 
         Parameters
         ----------
         way : {"upright", "upside down"}
-            Orientation.
+            Orientation of the knee.
         side : {"right", "left"}
-            Side.
+            Left or right knee.
 
         Returns
         -------
         MatchPair
-            Best pair.
+            Pair with the best sum of scores.
         """
         return max((self._make_pair(wide) for wide in self._select_candidates(way, side)), key=lambda pair: pair.excess)
 
     def highest_score(self, way: str, *sides: str) -> float:
-        """Return the highest whole-joint score of an orientation and some sides.
+        """Return the highest whole-joint score for one orientation and one or both sides.
 
         Parameters
         ----------
         way : {"upright", "upside down"}
-            Orientation.
+            Orientation of the knee.
         *sides : str
-            Sides to include.
+            Knee sides ("right", "left") to include.
 
         Returns
         -------
@@ -100,7 +100,7 @@ class Candidates:
         return max(match.score for match in self.matches if match.orientation == way and match.side in sides)
 
     def _make_pair(self, wide: Match) -> MatchPair:
-        """Make a pair from a whole-joint match and the best medial compartment near it."""
+        """Make a pair of a whole-joint match and the best medial-compartment match near it."""
         narrow = _find_compartment_match(self.image, self.templates, wide, self.table)
         return MatchPair(
             joint_match=wide,
@@ -108,7 +108,7 @@ class Candidates:
         )
 
     def _select_candidates(self, way: str, side: str) -> list[Match]:
-        """Select the best whole-joint match, and nearly as good ones at other positions or of other sizes."""
+        """Select the best whole-joint match, and nearly as good matches at other positions or of other sizes."""
         search, few = self.table.search, list[Match]()
         of = sorted(
             (m for m in self.matches if (m.orientation, m.side) == (way, side)), key=lambda match: -match.excess
@@ -122,14 +122,14 @@ class Candidates:
 
 
 def relative_margin(score: float, other: float) -> float:
-    """Compute the margin of a score above another, relative to what the higher of both leaves unexplained.
+    """Compute the difference between two scores, divided by 1 minus the higher score.
 
     Parameters
     ----------
     score : float
-        Score, at most 1.
+        First score, at most 1.
     other : float
-        Score to compare with, at most 1.
+        Second score, at most 1.
 
     Returns
     -------
@@ -140,7 +140,7 @@ def relative_margin(score: float, other: float) -> float:
 
 
 def _is_same_place(one: Match, other: Match, table: LocalisationSettings) -> bool:
-    """Return whether the compartment searches of two matches would cover about the same position and size."""
+    """Report whether two matches have about the same position and size, so their compartment searches would overlap."""
     away_mm = np.hypot(one.row - other.row, one.col - other.col) * other.template_mm_per_px
     sizes = abs(np.log(one.template_mm_per_px / other.template_mm_per_px))
     same = away_mm <= table.search.reach_mm and sizes <= 2 * np.log(table.search.scale_step)
@@ -148,7 +148,7 @@ def _is_same_place(one: Match, other: Match, table: LocalisationSettings) -> boo
 
 
 def _interpolate_size(best: Match, matches: Sequence[Match]) -> Match:
-    """Refine the size of a match to the vertex of the scores of its own and the two adjacent sizes."""
+    """Refine the size of a match by a parabola through the scores of this size and the two adjacent sizes."""
     alike = [m for m in matches if (m.side, m.orientation, m.polarity) == (best.side, best.orientation, best.polarity)]
     sizes = sorted(alike, key=lambda match: match.template_mm_per_px)
     at = sizes.index(best)
@@ -164,7 +164,7 @@ def _interpolate_size(best: Match, matches: Sequence[Match]) -> Match:
 def _find_compartment_match(
     image: Pyramid, templates: tuple[Template, ...], wide: Match, table: LocalisationSettings
 ) -> Match:
-    """Find the best match of the medial compartment within reach of a whole-joint match."""
+    """Find the best medial-compartment match within the search distance of a whole-joint match."""
     law, best = table.narrow, replace(wide, score=-1.0)
     ours = [
         pose for pose in make_poses(templates, law) if (pose.side, pose.orientation) == (wide.side, wide.orientation)
@@ -202,6 +202,6 @@ def _find_compartment_match(
 
 
 def _slice_within_reach(positions: Array, centre: float, reach: float) -> slice:
-    """Return the slice of ascending positions within a reach, with one more position at each end."""
+    """Return the slice of ascending positions within a distance of a centre, plus one position at each end."""
     first, last = np.searchsorted(positions, (centre - reach, centre + reach))
     return slice(max(0, int(first) - 1), min(len(positions), int(last) + 1))

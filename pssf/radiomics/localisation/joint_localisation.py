@@ -1,4 +1,4 @@
-"""Joint localisation: position of the medial joint line in any radiograph, with side, orientation and size."""
+"""Joint localisation: position of the medial joint line in a radiograph, with side, orientation and size."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,7 +33,7 @@ STATUSES = ("found", "no knee", "upside down", "wrong side", "wrong scale", "low
 
 @dataclass(frozen=True, kw_only=True)
 class JointLocation:
-    """Result of the localisation; it describes the best match even if that is rejected.
+    """Result of the joint localisation: the best match, accepted or rejected.
 
     Attributes
     ----------
@@ -44,33 +44,33 @@ class JointLocation:
     status : str
         One of STATUSES: "found", or the reason why the match is rejected.
     score : float
-        Correlation of edges with those of the whole joint, -1 to 1.
+        Correlation of the image edges with the template edges of the whole joint, -1 to 1.
     compartment_score : float
-        Correlation of edges with those of the medial compartment alone, -1 to 1.
+        Correlation of the image edges with the template edges of the medial compartment, -1 to 1.
     side : {"right", "left"}
-        The given side; else the one that matches better.
+        Left or right knee: the given side, or if none is given the side that matches better.
     side_margin : float
-        Highest score of that side minus that of the other side, at any position.
+        Highest whole-joint score of `side` minus the highest whole-joint score of the other side, over all positions.
     side_evidence : float
-        About 1 for a knee of that side, -1 for one of the other; see `compute_side_evidence`.
+        Evidence for `side`: about 1 if the side is correct, about -1 if it is wrong; see `compute_side_evidence`.
     orientation : {"upright", "upside down"}
         Orientation of the knee.
     orientation_margin : float
-        Score of that orientation minus that of the other.
+        Score of `orientation` minus the highest score of the other orientation.
     polarity : {"bone bright", "bone dark"}
         Polarity of the grey values.
     scale : float
-        Size of the knee on the radiograph relative to that of the template knee at its detector, dimensionless.
+        Size of the knee on the radiograph divided by the size of the template knee at its detector, dimensionless.
     pixel_mm : float
-        Pixel size, in mm: the given one; else estimated from the size of the joint.
+        Pixel size, in mm: the given pixel size, or if none is given an estimate from the size of the joint.
     pixel_mm_source : {"given", "plateau"}
         Source of the pixel size: given, or estimated from the width of the tibial plateau.
     match_distance_mm : float
-        Vertical distance between the matches of the joint and of the compartment, in mm of the template knee.
+        Vertical distance between whole-joint match and compartment match, in mm at the size of the template knee.
     visible_fraction : float
-        Fraction of the patch of the whole joint that is inside the radiograph.
+        Fraction of the whole-joint patch that is inside the radiograph.
     pixel_height : float
-        Height of a pixel relative to its width, which is `pixel_mm`.
+        Pixel height divided by pixel width; `pixel_mm` is the width.
     """
 
     row: float
@@ -93,20 +93,20 @@ class JointLocation:
 
     @property
     def square_pixel_row(self) -> float:
-        """Row in the image with square pixels; see `resample_to_square_pixels`."""
+        """Row of the medial joint line after resampling to square pixels; see `resample_to_square_pixels`."""
         return (self.row + 0.5) * self.pixel_height - 0.5
 
     @property
     def mean_score(self) -> float:
-        """Mean of both scores, which decides whether there is a knee, dimensionless."""
+        """Mean of whole-joint and compartment score, dimensionless; it decides whether the image shows a knee."""
         return (self.score + self.compartment_score) / 2
 
     @property
     def orientation_evidence(self) -> float:
         """Relative margin of the orientation; negative if the other orientation matches better. See `relative_margin`.
 
-        If the shape of a knee differs from the templates, both orientations match worse, and their difference is less
-        reliable.
+        The margin is relative, because the score difference between orientations is less reliable if the bone shape
+        differs from the templates and both scores are low.
         """
         return relative_margin(self.score, self.score - self.orientation_margin)
 
@@ -125,27 +125,27 @@ def locate_joint_in_radiograph(
     Parameters
     ----------
     pixels : (rows, cols) array, DN
-        Linear pixels. Columns run along +x, so medial is to the right in a right knee, and to the left in a left one.
+        Linear pixels. Medial is to the right in a right knee and to the left in a left knee.
     templates : sequence of Template
         Template radiographs.
     table : LocalisationSettings
-        Search settings and thresholds.
+        Search settings and rejection thresholds.
     side : {"right", "left"}
-        Side of the knee.
+        Left or right knee.
     pixel_mm : float
         Pixel size, in mm.
     region_px : int
-        Side of the region that must fit into the image about the joint line, in pixels.
+        Edge length of the region around the joint line that must be inside the image, in pixels.
 
     Returns
     -------
     JointLocation
-        Location, in the pixels of the radiograph.
+        Location of the joint, in pixels of the radiograph.
 
     Raises
     ------
     InputError
-        `locate_joint` raises an InputError.
+        The arguments are invalid; see `locate_joint`.
     """
     step = max(1, int(MAX_SEARCH_PIXEL_MM / pixel_mm))
     joint = locate_joint(
@@ -158,21 +158,21 @@ def locate_joint_in_radiograph(
 
 
 def scale_to_full_resolution(joint: JointLocation, step: int, pixel_mm: float) -> JointLocation:
-    """Convert a location from an image of averaged blocks to the full resolution.
+    """Convert a joint location from a block-averaged image to full resolution.
 
     Parameters
     ----------
     joint : JointLocation
-        Location in the reduced image.
+        Location in the block-averaged image.
     step : int
-        Side of a block, in pixels of the full resolution.
+        Edge length of a block, in full-resolution pixels.
     pixel_mm : float
-        Pixel size of the full resolution, in mm.
+        Full-resolution pixel size, in mm.
 
     Returns
     -------
     JointLocation
-        Location in the full resolution.
+        Location in the full-resolution image.
     """
     row, col = (at * step + (step - 1) / 2 for at in (joint.row, joint.col))
     return replace(joint, row=row, col=col, pixel_mm=pixel_mm)
@@ -189,57 +189,59 @@ def locate_joint(
     min_plateau_fraction: float = 0.0,
     severe: bool = False,
 ) -> JointLocation:
-    """Locate the medial joint line.
+    """Locate the medial joint line in an image.
 
     Parameters
     ----------
     density : (rows, cols) array, any unit, or Pyramid
-        Values that increase with attenuation: minus the logarithm of a signal, or a displayed radiograph. Row 0 is
-        proximal, and the fibula of a right knee is on the left. A Pyramid keeps its edge fields for further searches.
+        Image values that increase with attenuation: the negative logarithm of a signal, or a displayed radiograph. Row
+        0 is proximal, and the fibula of a right knee is on the left. A Pyramid caches edge fields for further searches.
     templates : sequence of Template
-        Template radiographs. The first and the last one, or the severe ones, serve for the whole joint. All serve for
-        the medial compartment.
+        Template radiographs. The whole joint is matched with templates of knees with severe osteoarthritis if `severe`,
+        else with the first and the last of the other templates. The medial compartment is matched with all templates.
     table : LocalisationSettings
-        Search settings and thresholds.
+        Search settings and rejection thresholds.
     side : {"right", "left"} or None
-        Side of the knee; None if it is not known.
+        Left or right knee; None if unknown.
     pixel_mm : float or None
-        Pixel size, in mm; None if it is not known, and is to be estimated.
+        Pixel size, in mm; None if unknown, then it is estimated.
     region_px : int or None
-        Side of the region that must fit into the image about the joint line, in pixels; None for no region.
+        Edge length of the region around the joint line that must be inside the image, in pixels; None for no region.
     min_plateau_fraction : float
-        Smallest width of the tibial plateau to search for, relative to the width of the image. It applies if the pixel
-        size is not known.
+        Smallest searched width of the tibial plateau, as a fraction of the image width. It is used if the pixel size is
+        unknown.
     severe : bool
-        Whether the search is for severely deformed knees. Usual templates then serve for the medial compartment only.
+        True searches for a knee with severe osteoarthritis; other templates then serve for the medial compartment only.
 
     Returns
     -------
     JointLocation
-        Location of the best match, with a status that says whether it is accepted.
+        Location of the best match; the status reports whether the match is accepted.
 
     Raises
     ------
     InputError
-        The side is unknown, the pixel size is out of range, there is no usual template, or a template has no plateau
-        width although the pixel size is not known.
+        `side` is unknown, `pixel_mm` is out of range, all templates show severe osteoarthritis, or the pixel size must
+        be estimated but the template has no plateau width.
 
     Notes
     -----
-    The correlation uses the directions of edges, relative to the strength of edges around them. It therefore does not
-    depend on the display processing.
+    The correlation uses edge directions, weighted by edge strength relative to the surroundings. Display processing
+    therefore has little effect.
 
-    1. The whole joint is searched for at a coarse pixel size: all positions, sizes, both sides, upright and upside
-       down, bone bright and dark. If the pixel size is not known, scores of different sizes are compared after
-       subtraction of the score that chance gives.
-    2. The medial compartment is searched for near the best few of these matches: all templates, rotations and sizes, to
-       a fraction of a pixel. The pair with the best sum of both scores is the result.
-    3. Given side and pixel size are checked against the result.
+    1. The whole joint is searched at a coarse pixel size, over all positions, sizes, sides, orientations and
+       polarities. If the pixel size is unknown, the chance score is subtracted before scores of different sizes are
+       compared.
+    2. The medial compartment is searched near the best whole-joint matches, over all templates, rotations and sizes,
+       with subpixel precision. The pair with the best sum of the two scores is the result.
+    3. The given side and pixel size are compared with the result.
     """
     if side is not None:
         require_choice("side", side, SIDES)
     if all(template.severe for template in templates):
-        raise InputError("templates must be one or more that are not severe, got usual templates = none")
+        raise InputError(
+            f"templates must include one without severe osteoarthritis, got {len(templates)} templates, all with it"
+        )
     search, of_sides = find_candidates(density, templates, table, pixel_mm, min_plateau_fraction, severe)
     for_right = compute_side_evidence(search.image, of_sides, table)
     chosen = side or _select_side(of_sides, for_right, table)
@@ -276,29 +278,29 @@ def find_candidates(
     min_plateau_fraction: float = 0.0,
     severe: bool = False,
 ) -> tuple[Candidates, dict[str, MatchPair]]:
-    """Find all matches of the whole joint, and the best pair of each side with its medial compartment.
+    """Find all whole-joint matches, and for each side the best pair of whole-joint and compartment match.
 
     Parameters
     ----------
     density : (rows, cols) array, any unit, or Pyramid
-        Values that increase with attenuation, bone bright.
+        Image values that increase with attenuation (bone bright).
     templates : sequence of Template
         Template radiographs.
     table : LocalisationSettings
-        Search settings and thresholds.
+        Search settings and rejection thresholds.
     pixel_mm : float or None
-        Pixel size, in mm; None if it is not known.
+        Pixel size, in mm; None if unknown.
     min_plateau_fraction : float
-        Smallest width of the tibial plateau to search for, relative to the width of the image.
+        Smallest searched width of the tibial plateau, as a fraction of the image width.
     severe : bool
-        Whether the search is for severely deformed knees.
+        True searches for a knee with severe osteoarthritis.
 
     Returns
     -------
     candidates : Candidates
-        Matches of the whole joint.
+        Whole-joint matches.
     pairs : dict of str to MatchPair
-        Side to its best pair.
+        Best pair of each side.
 
     Raises
     ------
@@ -330,9 +332,10 @@ def find_candidates(
 
 
 def _select_orientation(search: Candidates) -> dict[str, MatchPair]:
-    """Select the best pair of each side, upright unless one upside down is better.
+    """Select the best pair of each side, upright unless an upside-down pair matches clearly better.
 
-    A pair that is upside down must exceed what chance gives, and its medial compartment must match better too.
+    The whole-joint score of an upside-down pair must exceed the upright score by a threshold, and its compartment score
+    must be higher too.
     """
     upright = {side: search.select_pair(ORIENTATIONS[0], side) for side in SIDES}
     best = max(upright.values(), key=lambda pair: pair.excess)
@@ -349,7 +352,7 @@ def _select_orientation(search: Candidates) -> dict[str, MatchPair]:
 def _select_side(pairs: dict[str, MatchPair], right_evidence: float, table: LocalisationSettings) -> str:
     """Select the side that matches better.
 
-    If both sides match at the same joint, the evidence of its edges decides, since their scores are nearly the same.
+    If right and left match at the same position, their scores are nearly equal, and the side evidence decides.
     """
     one, other = (pairs[side].joint_match for side in SIDES)
     apart_mm = abs(one.row - other.row) * other.template_mm_per_px
@@ -366,7 +369,7 @@ def _list_units_mm(
     table: LocalisationSettings,
     min_plateau_fraction: float,
 ) -> list[float]:
-    """List the mm of the template per pixel of the image, one for each size to search for."""
+    """List the searched sizes, as mm of the template per pixel of the image."""
     if pixel_mm is not None:
         require_in_range("pixel_mm", pixel_mm, 0.001, 50, "mm")
         smallest, largest = table.search.scale_range
@@ -374,12 +377,12 @@ def _list_units_mm(
     plateau_mm = template.known_plateau_mm
     shares = (share for share in _geometric_steps(*table.search.plateau_share, table) if share >= min_plateau_fraction)
     units = (plateau_mm / (share * shape[1]) for share in shares)
-    # Pixels coarser than the patch of the whole joint cannot locate it to within millimetres.
+    # Pixels coarser than the pixels of the whole-joint patch cannot locate the joint to within millimetres.
     return [unit_mm for unit_mm in units if unit_mm <= table.wide.pitch_mm]
 
 
 def _list_smaller_units_mm(pixel_mm: float, table: LocalisationSettings) -> list[float]:
-    """List the mm of the template per pixel for sizes below the usual range."""
+    """List the sizes below the usual range, as mm of the template per pixel of the image."""
     return [
         pixel_mm / scale
         for scale in _geometric_steps(table.search.fallback_min_scale, table.search.scale_range[0], table)
@@ -387,7 +390,7 @@ def _list_smaller_units_mm(pixel_mm: float, table: LocalisationSettings) -> list
 
 
 def _geometric_steps(low: float, high: float, table: LocalisationSettings) -> list[float]:
-    """List sizes from low to high in equal ratios of at most the scale step."""
+    """List sizes from low to high, with equal ratios that do not exceed the scale step."""
     count = int(np.ceil(np.log(high / low) / np.log(table.search.scale_step))) + 1
     return [float(value) for value in np.geomspace(low, high, count)]
 
@@ -395,7 +398,7 @@ def _geometric_steps(low: float, high: float, table: LocalisationSettings) -> li
 def _estimate_pitch_and_scale(
     best: Match, template: Template, pixel_mm: float | None, table: LocalisationSettings
 ) -> tuple[float, str, float]:
-    """Return the pixel size in mm, its source, and the size of the knee relative to the template knee."""
+    """Return pixel size in mm, source of the pixel size, and size of the knee divided by that of the template knee."""
     if pixel_mm is not None:
         return pixel_mm, "given", pixel_mm / best.template_mm_per_px
     scale = table.plateau.mean_mm / template.known_plateau_mm
@@ -403,18 +406,18 @@ def _estimate_pitch_and_scale(
 
 
 def _chance_slope(pixel_mm: float | None, table: LocalisationSettings) -> float:
-    """Return the increase of the chance score of a compartment with the logarithm of the pixel size.
+    """Return the increase of the chance score of a compartment match per unit of the logarithm of the pixel size.
 
-    It is 0 if the pixel size is known, because scores of different sizes are then not compared.
+    The increase is 0 if the pixel size is known, because scores of different sizes are then not compared.
     """
     return table.chance.narrow_rise if pixel_mm is None else 0.0
 
 
 def _compute_chance_score(shape: tuple[int, ...], unit_mm: float, table: LocalisationSettings) -> float:
-    """Compute the best score that chance gives in an image for a knee of one size.
+    """Compute the chance score: the expected best score in an image without a knee, for one knee size.
 
-    Smaller knees have more possible positions. The score is the expected largest of as many normal values (Cramer 1946,
-    leading term).
+    Smaller knees have more possible positions. The chance score is the expected maximum of that number of normal values
+    (Cramer 1946, leading term).
     """
     law, by_chance = table.wide, table.chance
     patch_mm = (law.up_mm + law.down_mm, law.lateral_mm + law.medial_mm)
@@ -432,7 +435,7 @@ def _decide_status(
     table: LocalisationSettings,
     given_side: str | None = None,
 ) -> str:
-    """Return the first reason to reject a match, or "found"; a side that was not given cannot be wrong."""
+    """Return the first reason to reject a match, or "found"; the side is checked only if it was given."""
     limit = table.thresholds
     reasons = {
         "no knee": joint.mean_score < limit.min_score
@@ -448,7 +451,7 @@ def _decide_status(
 
 
 def _is_doubtful(joint: JointLocation, table: LocalisationSettings) -> bool:
-    """Return whether a match is no better than those found on legs without bones, by score and side evidence."""
+    """Report whether a match has score and side evidence as low as matches on simulated legs without bones."""
     limit = table.thresholds
     return (
         joint.mean_score < limit.min_score_unknown_pitch

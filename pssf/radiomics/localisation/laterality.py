@@ -1,4 +1,4 @@
-"""Laterality: evidence for a right or left knee from edges that differ from their mirror image."""
+"""Laterality: evidence for a right or left knee from the difference between edges and their mirror image."""
 
 from collections.abc import Mapping
 
@@ -21,21 +21,21 @@ from .templates import (
 
 
 def compute_side_evidence(image: Pyramid, pairs_by_side: Mapping[str, MatchPair], table: LocalisationSettings) -> float:
-    """Compute the evidence for a right knee; the weights of its edges were fitted to simulated knees.
+    """Compute the evidence for a right knee, with edge weights that were fitted to simulated knees.
 
     Parameters
     ----------
     image : Pyramid
-        Image that is searched.
+        Image that shows the knee.
     pairs_by_side : dict of str to MatchPair
-        Side to the best match of a joint of that side.
+        Best match of each side, from `find_candidates`.
     table : LocalisationSettings
-        Settings with the weights of the edges.
+        Localisation settings with the edge weights.
 
     Returns
     -------
     float
-        About 1 for a right knee and -1 for a left one, whatever the grey scale of the radiograph.
+        About 1 for a right knee and about -1 for a left knee.
     """
     weights = np.array([table.sides.down, table.sides.right])
     return float((weights * compute_mirror_difference(image, pairs_by_side, table)).sum())
@@ -44,30 +44,30 @@ def compute_side_evidence(image: Pyramid, pairs_by_side: Mapping[str, MatchPair]
 def compute_mirror_difference(
     image: Pyramid, pairs_by_side: Mapping[str, MatchPair], table: LocalisationSettings
 ) -> NDArray[np.float64]:
-    """Compute the edges of an image as a right knee, minus those of its mirror image as a right knee.
+    """Compute the edges around the best right-knee match minus the mirrored edges around the best left-knee match.
 
     Parameters
     ----------
     image : Pyramid
-        Image that is searched.
+        Image that shows the knee.
     pairs_by_side : dict of str to MatchPair
-        Side to the best match of a joint of that side.
+        Best match of each side, from `find_candidates`.
     table : LocalisationSettings
-        Settings of the patch and of the blocks.
+        Localisation settings with patch and block size.
 
     Returns
     -------
     (2, rows, cols) array
-        Difference of the edges down and right, averaged over blocks, dimensionless.
+        Difference of the downward and rightward edge components, averaged over blocks, dimensionless.
     """
     seen = [_sample_edges(image, pairs_by_side[side].joint_match, table.wide, table.sides.block) for side in SIDES]
     return seen[0] - seen[1]
 
 
 def _sample_edges(image: Pyramid, match: Match, law: PatchSettings, block: int) -> NDArray[np.float64]:
-    """Sample the edges (2, rows, cols) about a match, averaged over blocks, as of an upright right knee.
+    """Sample the edge field (2, rows, cols) around a match, converted to an upright right knee, averaged over blocks.
 
-    They are 0 outside of the image.
+    The edge field is 0 outside the image.
     """
     zoom = match.template_mm_per_px / law.pitch_mm
     sign = 1.0 if match.polarity == POLARITIES[0] else -1.0
@@ -83,6 +83,6 @@ def _sample_edges(image: Pyramid, match: Match, law: PatchSettings, block: int) 
 
 
 def _pixel_offsets(before: int, after: int, forwards: bool) -> Array:
-    """Return pixel offsets about the joint line, or those of the reversed direction."""
+    """Return pixel offsets from the joint line in the direction of the image axis, reversed if not `forwards`."""
     first, last = (before, after) if forwards else (after, before)
     return np.arange(-first, last + 1.0)

@@ -1,4 +1,4 @@
-"""Pixel aspect: localisation in images whose pixels may not be square, such as crops resized to one shape."""
+"""Joint localisation in images whose pixels may not be square, such as crops resized to a fixed shape."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -23,34 +23,34 @@ def locate_joint_in_film(
     side: str | None = None,
     pixel_mm: float | None = None,
 ) -> JointLocation:
-    """Locate the joint, and estimate the height of the pixels relative to their width; see `locate_joint`.
+    """Locate the joint, and estimate the ratio of pixel height to pixel width; see `locate_joint`.
 
-    Pixels are square if their size is known. If it is not, and no joint is clear on square pixels, higher and wider
-    pixels are tried, then severely deformed knees, then small knees. The best result is returned, if its score exceeds
-    what chance gives over all attempts, and no match upside down is better.
+    If the pixel size is known, pixels are assumed to be square. Otherwise, if the score on square pixels is low, other
+    aspect ratios, severely deformed knees and small knees are tried. The best result is accepted if its score exceeds a
+    threshold for several attempts, and no upside-down match is better.
 
     Parameters
     ----------
     film : (rows, cols) array, any unit
-        Values that increase with attenuation, bone bright.
+        Image values that increase with attenuation (bone bright).
     templates : sequence of Template
         Template radiographs.
     table : LocalisationSettings
-        Search settings and thresholds.
+        Search settings and rejection thresholds.
     side : {"right", "left"} or None
-        Side of the knee; None if it is not known.
+        Left or right knee; None if unknown.
     pixel_mm : float or None
-        Pixel size, in mm; None if it is not known.
+        Pixel size, in mm; None if unknown.
 
     Returns
     -------
     JointLocation
-        Location, in the pixels of the image, with their relative height.
+        Location in pixels of the image, with the ratio of pixel height to width.
 
     Raises
     ------
     InputError
-        `locate_joint` raises an InputError.
+        The arguments are invalid; see `locate_joint`.
     """
     if pixel_mm is not None:
         return locate_joint(film, templates, table, side=side, pixel_mm=pixel_mm)
@@ -82,7 +82,7 @@ def _locate_at_pixel_height(
     *,
     severe: bool = False,
 ) -> JointLocation:
-    """Locate the joint under the assumption of one pixel height relative to the width."""
+    """Locate the joint for an assumed ratio of pixel height to pixel width."""
     joint = locate_joint(
         film(pixel_height), templates, table, side=side, min_plateau_fraction=min_plateau_fraction, severe=severe
     )
@@ -90,7 +90,7 @@ def _locate_at_pixel_height(
 
 
 def _select_usual_or_severe(usual: JointLocation, severe: JointLocation, table: LocalisationSettings) -> JointLocation:
-    """Select the severely deformed knee if it is found and plausible, and matches better or no usual knee is found."""
+    """Select the result for templates with severe osteoarthritis if it is plausible and better, else the other one."""
     limits = table.thresholds
     sound = (
         severe.status == "found"
@@ -101,9 +101,9 @@ def _select_usual_or_severe(usual: JointLocation, severe: JointLocation, table: 
 
 
 def _select_best_location(locations: Sequence[JointLocation], table: LocalisationSettings) -> JointLocation:
-    """Select the best location that is found or upside down; the first one if there is none.
+    """Select the best location that is found or upside down; if there is none, select the first location.
 
-    The first location is that on square pixels.
+    The first location must be the location on square pixels.
     """
     limits = table.thresholds
 
@@ -125,9 +125,9 @@ def resample_to_square_pixels(film: NDArray[np.integer | np.floating], pixel_hei
     Parameters
     ----------
     film : (rows, cols) array, any unit
-        Image.
+        Image to resample.
     pixel_height : float
-        Height of its pixels relative to their width.
+        Pixel height divided by pixel width.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Region of interest: a square about the medial joint line."""
+"""Region of interest: a square around the medial joint line."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,23 +7,23 @@ from ...core.checks import InputError
 
 
 def cut_region(pixels: NDArray[np.generic], row: float, col: float, size: int = 512) -> NDArray[np.generic]:
-    """Cut out a square region about a position, rounded to whole pixels.
+    """Cut out a square region around a position, which is rounded to whole pixels.
 
     Parameters
     ----------
     pixels : (rows, cols) array, any unit
-        Image.
+        Image from which the region is cut.
     row : float
-        Row of the centre, in pixels.
+        Row of the region centre, in pixels.
     col : float
-        Column of the centre, in pixels.
+        Column of the region centre, in pixels.
     size : int
-        Side of the region, in pixels.
+        Edge length of the region, in pixels.
 
     Returns
     -------
     (size, size) array
-        View of the image.
+        Region, as a view of the image array.
 
     Raises
     ------
@@ -39,23 +39,23 @@ def cut_region(pixels: NDArray[np.generic], row: float, col: float, size: int = 
 
 
 def region_fits(shape: tuple[int, ...], row: float, col: float, size: int) -> bool:
-    """Return whether a region is inside an image; see `cut_region`.
+    """Report whether a region is inside an image; see `cut_region`.
 
     Parameters
     ----------
     shape : tuple of int
         Rows and columns of the image.
     row : float
-        Row of the centre, in pixels.
+        Row of the region centre, in pixels.
     col : float
-        Column of the centre, in pixels.
+        Column of the region centre, in pixels.
     size : int
-        Side of the region, in pixels.
+        Edge length of the region, in pixels.
 
     Returns
     -------
     bool
-        True if the whole region is inside.
+        True if the whole region is inside the image.
     """
     top, left = _top_left_corner(row, col, size)
     return 0 <= top <= shape[0] - size and 0 <= left <= shape[1] - size

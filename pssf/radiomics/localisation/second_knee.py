@@ -1,4 +1,4 @@
-"""Second knee: whether the other knee is on a radiograph in which the joint of one knee was found."""
+"""Detection of a second knee on a radiograph in which the joint of one knee was found."""
 
 from collections.abc import Sequence
 
@@ -10,39 +10,39 @@ from ...data.analysis.localisation_table import LocalisationSettings
 from .joint_localisation import locate_joint
 from .templates import MAX_SEARCH_PIXEL_MM, SIDES, Template
 
-# Distance from the medial joint line to the medial skin of the same knee, in mm.
+# Distance from the located medial joint line to the medial skin of the same knee, in mm.
 _JOINT_LINE_TO_SKIN_MM = 35.0
-# Width of a knee that is completely on the radiograph, in mm.
+# Minimum width of the image part that can show a complete second knee, in mm.
 _KNEE_WIDTH_MM = 90.0
 
 
 def has_second_knee(
     density: Array, side: str, col: float, pixel_mm: float, templates: Sequence[Template], table: LocalisationSettings
 ) -> bool:
-    """Return whether the knee of the other side is found medially of a joint that was found.
+    """Report whether the other knee is found medial to a located joint.
 
     Parameters
     ----------
     density : (rows, cols) array, any unit
-        Square pixels of values that increase or decrease with attenuation.
+        Image values that increase or decrease with attenuation, with square pixels.
     side : {"right", "left"}
-        Side of the knee that was found.
+        Side of the located knee.
     col : float
-        Column of its medial joint line, in pixels.
+        Column of the medial joint line of the located knee, in pixels.
     pixel_mm : float
         Pixel size, in mm.
     templates : sequence of Template
         Template radiographs; see `locate_joint`.
     table : LocalisationSettings
-        Search settings and thresholds.
+        Search settings and rejection thresholds.
 
     Returns
     -------
     bool
-        True if a second knee is found; False also if the radiograph is too narrow for one.
+        True if a second knee is found; False also if the radiograph is too narrow for two knees.
     """
     other, away = SIDES[1 - SIDES.index(side)], round(_JOINT_LINE_TO_SKIN_MM / pixel_mm)
-    # In a right knee, medial is to the right.
+    # In the image of a right knee, medial is to the right.
     beside = density[:, round(col) + away :] if side == SIDES[0] else density[:, : max(0, round(col) - away)]
     step = max(1, int(MAX_SEARCH_PIXEL_MM / pixel_mm))
     if beside.shape[1] * pixel_mm < _KNEE_WIDTH_MM or np.ptp(beside) == 0:

@@ -12,9 +12,9 @@ from ...data.analysis.localisation_table import PatchSettings
 from .edge_field import Pyramid
 from .templates import Pose, compute_spectra
 
-# Lengths of transforms are multiples of this, so that a few lengths serve all sizes.
+# Fourier-transform lengths are rounded up to multiples of this, so that few different lengths occur, in pixels.
 _LENGTH_STEP_PX = 16
-# Smallest side of an edge field that is searched, in pixels.
+# Minimum number of rows and columns of a searched edge field.
 _MIN_SIDE_PX = 8
 Window = tuple[slice, slice]
 POLARITIES = ("bone bright", "bone dark")
@@ -22,16 +22,16 @@ POLARITIES = ("bone bright", "bone dark")
 
 @dataclass(frozen=True, kw_only=True)
 class Match:
-    """Best position of one patch.
+    """Best match of a template patch in an image.
 
     Attributes
     ----------
     score : float
-        Correlation of edges, -1 to 1. It decreases where the image has less structure than the template.
+        Correlation of image edges with template edges, -1 to 1. It is lower where the image has less structure.
     side : {"right", "left"}
-        Side of the patch.
+        Left or right knee.
     orientation : {"upright", "upside down"}
-        Orientation of the patch.
+        Orientation of the knee.
     polarity : {"bone bright", "bone dark"}
         Polarity of the grey values.
     row : float
@@ -39,11 +39,11 @@ class Match:
     col : float
         Column of the medial joint line, in pixels of the image.
     template_mm_per_px : float
-        mm of the template per pixel of the image.
+        Size, as mm of the template per pixel of the image.
     visible_fraction : float
-        Fraction of the weight of the patch that is inside the image.
+        Fraction of the patch weight that is inside the image.
     chance_score : float
-        Score that chance gives, if scores of different sizes are compared; else 0.
+        Expected score in an image without a knee, if scores of different sizes are compared; else 0.
     """
 
     score: float
@@ -58,32 +58,32 @@ class Match:
 
     @property
     def excess(self) -> float:
-        """Score minus the score that chance gives, dimensionless."""
+        """Score minus chance score, dimensionless."""
         return self.score - self.chance_score
 
 
 def find_matches(
     image: Pyramid, units_mm: Iterable[float], patches: Iterable[Pose], law: PatchSettings, min_visible_fraction: float
 ) -> Iterator[Match]:
-    """Find the best position of each pose, polarity and size.
+    """Find the best match of each pose, polarity and size.
 
     Parameters
     ----------
     image : Pyramid
-        Image that is searched.
+        Searched image.
     units_mm : iterable of float
-        mm of the template per pixel of the image, one for each size to search for.
+        Searched sizes, as mm of the template per pixel of the image.
     patches : iterable of Pose
-        Poses to search for.
+        Searched poses.
     law : PatchSettings
-        Settings of the patches.
+        Patch settings.
     min_visible_fraction : float
-        Smallest fraction of a patch that must be inside the image.
+        Minimum fraction of a patch that must be inside the image.
 
     Yields
     ------
     Match
-        Best match of a pose, polarity and size. Sizes at which the image has few pixels give none.
+        Best match of a pose, polarity and size. Sizes at which the image has too few pixels are omitted.
     """
     patches = tuple(patches)
     for unit_mm in units_mm:
@@ -99,25 +99,26 @@ def find_matches(
 def compute_score_maps(
     field: NDArray[np.float32], patches: Iterable[Pose], window: Window | None = None
 ) -> Iterator[tuple[Pose, NDArray[np.float32]]]:
-    """Compute the score of every patch of a pose at the pixels of an edge field.
+    """Compute the score of every patch of each pose at the pixels of an edge field.
 
-    The denominator is the power of the patch wherever the image has less. Air and muscle therefore match nothing well.
+    The correlation is normalised by the edge power of patch and image, but at least by that of the patch. Air and
+    muscle, which have weak edges, therefore have low scores.
 
     Parameters
     ----------
     field : (2, rows, cols) float32 array
-        Edges down and right at the pixel size of the patches, dimensionless; see `compute_edge_field`.
+        Edge field at the pixel size of the patches, dimensionless; see `compute_edge_field`.
     patches : iterable of Pose
-        Poses whose patches are correlated.
+        Poses whose patches are correlated with the edge field.
     window : tuple of slice or None
-        Rows and columns for which scores are computed; None for all.
+        Rows and columns for which scores are computed; None computes all.
 
     Yields
     ------
     pose : Pose
-        Pose.
+        Pose to which the scores belong.
     scores : (patches, rows, cols) float32 array
-        Score with the medial joint line at each pixel, dimensionless.
+        Score of each patch with the medial joint line at each pixel, dimensionless.
     """
     places = window or _full_window(field.shape[1:])
     parts = np.stack([*field, (field**2).sum(axis=0)])
@@ -134,11 +135,11 @@ def compute_score_maps(
         yield pose, alike / np.sqrt(own * np.maximum(power, own))
 
 
-@lru_cache(maxsize=256)  # This holds all sizes of an image; most images have the same shape.
+@lru_cache(maxsize=256)  # The cache is large enough for all sizes of an image.
 def _compute_visible_fraction(image: tuple[int, ...], pose: Pose) -> NDArray[np.float32]:
-    """Compute the fraction of the weight of a patch that is inside an image.
+    """Compute the fraction of the patch weight that is inside an image.
 
-    The result (rows, cols) has one value for each position of the joint line.
+    The result (rows, cols) has one value per position of the joint line.
     """
     _, wanted, shape = _plan_windows(image, pose, _full_window(image))
     inside = fft.rfft2(np.ones(image, np.float32), shape)
@@ -146,13 +147,13 @@ def _compute_visible_fraction(image: tuple[int, ...], pose: Pose) -> NDArray[np.
 
 
 def _full_window(image: tuple[int, ...]) -> Window:
-    """Return the window of a whole image."""
+    """Return the window that contains a whole image."""
     rows, cols = image
     return slice(0, rows), slice(0, cols)
 
 
 def _plan_windows(image: tuple[int, ...], pose: Pose, window: Window) -> tuple[Window, Window, tuple[int, int]]:
-    """Return the part of an image that a patch can reach, the wanted positions in it, and the size of the transform."""
+    """Return the image window that patches can overlap, the slices of `window` inside it, and the transform shape."""
     near, wanted, shape = [], [], []
     for length, side, before, at in zip(image, pose.weight.shape, pose.anchor, window, strict=True):
         after = side - 1 - before
@@ -165,7 +166,7 @@ def _plan_windows(image: tuple[int, ...], pose: Pose, window: Window) -> tuple[W
 
 
 def _fast_length(length: int) -> int:
-    """Return a length, in steps of 16 pixels, whose Fourier transform is fast."""
+    """Round a length up to a length with a fast Fourier transform, starting at a multiple of 16 pixels."""
     return int(fft.next_fast_len(-(-length // _LENGTH_STEP_PX) * _LENGTH_STEP_PX, real=True))
 
 
@@ -177,7 +178,7 @@ def _find_best_matches(
     zoom: float,
     unit_mm: float,
 ) -> Iterator[Match]:
-    """Yield the best match of each polarity in the score maps of a pose."""
+    """Find the best match of each polarity in the score maps of a pose."""
     hidden = visible_fraction < min_visible_fraction
     for polarity, sign in zip(POLARITIES, (1.0, -1.0), strict=True):
         allowed = np.where(hidden, -1.0, sign * score)
@@ -196,19 +197,19 @@ def _find_best_matches(
 
 
 def fit_peak_offset(score: NDArray[np.floating], index: int) -> float:
-    """Fit a parabola through a peak and its neighbours, and return the offset of its vertex.
+    """Fit a parabola through a score peak and its two neighbours, and return the offset of the vertex.
 
     Parameters
     ----------
     score : (n,) array, dimensionless
-        Scores.
+        Scores at equidistant positions.
     index : int
         Index of the peak.
 
     Returns
     -------
     float
-        Offset from `index`; 0 for a peak at either end.
+        Offset of the vertex from `index`; 0 if the peak is the first or last score.
     """
     if not 0 < index < len(score) - 1:
         return 0.0

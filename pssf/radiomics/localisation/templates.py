@@ -1,4 +1,4 @@
-"""Templates: noise-free radiographs of reference knees, and the edge patches that are cut out of them."""
+"""Templates: noise-free radiographs of reference knees, and edge patches cut out of the templates."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -16,9 +16,9 @@ from .edge_field import compute_edge_field
 EdgeField = NDArray[np.float32]
 SIDES = ("right", "left")
 ORIENTATIONS = ("upright", "upside down")
-# Pixels are averaged up to about this size before the search, in mm.
+# Maximum pixel size to which an image is averaged before the search, in mm.
 MAX_SEARCH_PIXEL_MM = 0.3
-# Margin about a patch, in tiles, so that edges near its border are compared with those beyond.
+# Margin around a patch within which edges contribute to the normalisation, in standard deviations of the window.
 _MARGIN_TILES = 2.0
 
 
@@ -29,7 +29,7 @@ class Template:
     Parameters
     ----------
     pixels : (rows, cols) array
-        Pixels that are linear in the signal, DN.
+        Linear pixels, in DN.
     row : float
         Row of the medial joint line, in pixels.
     col : float
@@ -37,14 +37,14 @@ class Template:
     pixel_mm : float
         Pixel size at the detector, 0.001 to 50 mm.
     plateau_mm : float or None
-        Width of the tibial plateau at the detector, 10 to 1000 mm; None if it is not known.
+        Width of the tibial plateau at the detector, 10 to 1000 mm; None if unknown.
     severe : bool
-        Whether the knee is severely deformed. Such knees are only searched for if no usual knee is clear.
+        True for a severely deformed knee. Severe templates are used only if other templates give a low score.
 
     Raises
     ------
     InputError
-        The joint line is outside of the image, or a pixel size or width is out of range.
+        The joint line is outside the image, or `pixel_mm` or `plateau_mm` is out of range.
     """
 
     pixels: NDArray[np.integer | np.floating]
@@ -64,40 +64,40 @@ class Template:
 
     @property
     def known_plateau_mm(self) -> float:
-        """Width of the tibial plateau at the detector, in mm; raises InputError if it is not known."""
+        """Width of the tibial plateau at the detector, in mm; InputError is raised if it is unknown."""
         if self.plateau_mm is None:
             raise InputError(
-                "template plateau_mm must be its width in mm, got plateau_mm = None: a pixel size is unknown"
+                "template plateau_mm must be the width in mm, got plateau_mm = None: the pixel size is unknown"
             )
         return self.plateau_mm
 
     @property
     def scalar_values(self) -> tuple[float | bool | None, ...]:
-        """All fields except the pixels, on which a record of features depends."""
+        """All fields except the pixels, for the hash of the settings of a feature record."""
         return self.row, self.col, self.pixel_mm, self.plateau_mm, self.severe
 
     @property
     def pixel_bytes(self) -> bytes:
-        """Bytes of the pixels, row by row."""
+        """Bytes of the pixel array, in row-major order."""
         return np.ascontiguousarray(self.pixels).tobytes()
 
     def match_plateau_width(self, other: "Template") -> "Template":
-        """Rescale the template to the magnification at which its plateau is as wide as that of another template.
+        """Change the pixel size so that the plateau is as wide as in another template.
 
         Parameters
         ----------
         other : Template
-            Template that gives the plateau width.
+            Template with the required plateau width.
 
         Returns
         -------
         Template
-            Template with another pixel size and plateau width.
+            Template with changed pixel size and plateau width.
 
         Raises
         ------
         InputError
-            The plateau width of either template is not known.
+            The plateau width of one of the two templates is unknown.
         """
         larger = other.known_plateau_mm / self.known_plateau_mm
         return replace(self, pixel_mm=self.pixel_mm * larger, plateau_mm=other.plateau_mm)
@@ -105,18 +105,18 @@ class Template:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pose:
-    """Patches of all templates and rotations for one side and orientation.
+    """Edge patches of all templates and rotations, for one side and one orientation.
 
     Attributes
     ----------
     side : {"right", "left"}
-        Side of the knee.
+        Left or right knee.
     orientation : {"upright", "upside down"}
         Orientation of the knee.
     fields : tuple of (2, rows, cols) arrays
-        Edge field of each patch times the weight, dimensionless.
+        Edge field of each patch multiplied by the weight, dimensionless.
     power : tuple of float
-        Sum of weight times squared edge field, for each patch.
+        Edge power of each patch: sum of weight times squared edge field.
     weight : (rows, cols) array
         Weight of each pixel, dimensionless.
     anchor : tuple of int
@@ -132,14 +132,14 @@ class Pose:
 
 
 class Spectra(NamedTuple):
-    """Fourier transforms of the patches and of the weight of a pose, reversed about their anchor for correlation.
+    """Fourier transforms of the patches and the weight of a pose, reversed about the anchor for correlation.
 
     Attributes
     ----------
     fields : (patches, 2, rows, cols // 2 + 1) complex array
-        Transforms of the edge fields.
+        Fourier transforms of the edge fields of the patches.
     weight : (rows, cols // 2 + 1) complex array
-        Transform of the weight.
+        Fourier transform of the weight.
     """
 
     fields: NDArray[Any]
@@ -152,12 +152,12 @@ def reach_px(law: PatchSettings) -> tuple[int, int, int, int]:
     Parameters
     ----------
     law : PatchSettings
-        Settings of the patch.
+        Patch settings.
 
     Returns
     -------
     tuple of int
-        Pixels upwards, downwards, laterally and medially.
+        Extent upwards, downwards, laterally and medially, in pixels.
     """
     up, down, lateral, medial = (
         round(length / law.pitch_mm) for length in (law.up_mm, law.down_mm, law.lateral_mm, law.medial_mm)
@@ -166,31 +166,31 @@ def reach_px(law: PatchSettings) -> tuple[int, int, int, int]:
 
 
 def compute_density(pixels: NDArray[np.generic]) -> Array:
-    """Compute minus the logarithm of a linear signal, in which bone is bright.
+    """Compute the negative logarithm of a linear signal; bone is bright in the result.
 
     Parameters
     ----------
     pixels : (rows, cols) array, any unit
-        Linear signal. Values below 1 count as 1.
+        Linear signal. Values below 1 are replaced by 1.
 
     Returns
     -------
     (rows, cols) array
-        Minus the natural logarithm, dimensionless.
+        Negative natural logarithm, dimensionless.
     """
     return np.asarray(-np.log(np.maximum(pixels, 1.0)), np.float64)
 
 
-@lru_cache(maxsize=16)  # A whole cohort uses the same few poses.
+@lru_cache(maxsize=16)  # Poses are cached, because all radiographs use the same ones.
 def make_poses(templates: tuple[Template, ...], law: PatchSettings) -> tuple[Pose, ...]:
-    """Make the patches of a right and a left knee, each upright and upside down.
+    """Make the poses of right and left knees, upright and upside down, with their edge patches.
 
     Parameters
     ----------
     templates : tuple of Template
         Template radiographs.
     law : PatchSettings
-        Settings of the patches.
+        Patch settings.
 
     Returns
     -------
@@ -216,21 +216,21 @@ def make_poses(templates: tuple[Template, ...], law: PatchSettings) -> tuple[Pos
     return tuple(patches)
 
 
-@lru_cache(maxsize=512)  # This holds all sizes of images of a few shapes.
+@lru_cache(maxsize=512)  # The cache is large enough for all sizes of several image shapes.
 def compute_spectra(pose: Pose, shape: tuple[int, int]) -> Spectra:
-    """Compute the Fourier transforms of a pose at a size that holds its patches.
+    """Compute the Fourier transforms of the patches and the weight of a pose, padded to a shape.
 
     Parameters
     ----------
     pose : Pose
         Pose to transform.
     shape : tuple of int
-        Rows and columns of the transform, in pixels.
+        Rows and columns of the transform, not smaller than the patches, in pixels.
 
     Returns
     -------
     Spectra
-        Transforms of the patches and of the weight.
+        Fourier transforms of the patches and the weight.
     """
     to_anchor = [at + 1 - side for side, at in zip(pose.weight.shape, pose.anchor, strict=True)]
 
@@ -242,9 +242,9 @@ def compute_spectra(pose: Pose, shape: tuple[int, int]) -> Spectra:
     return Spectra(fields=transformed(np.stack(pose.fields)), weight=transformed(pose.weight))
 
 
-@lru_cache(maxsize=64)  # Templates are used alone and together with others.
+@lru_cache(maxsize=64)  # Different sets of templates share templates, so each field is cached.
 def _make_template_field(template: Template, law: PatchSettings, turn_deg: float) -> EdgeField:
-    """Compute the rotated edge field (2, rows, cols) of a template about its joint line."""
+    """Compute the edge field (2, rows, cols) of a template, rotated about the joint line."""
     up, down, lateral, medial = reach_px(law)
     margin = int(np.ceil(_MARGIN_TILES * law.tile_mm / law.pitch_mm))
     soft, row, col, pixel_mm = _blur_template(template, law)
@@ -259,9 +259,9 @@ def _make_template_field(template: Template, law: PatchSettings, turn_deg: float
 
 @lru_cache(maxsize=16)
 def _blur_template(template: Template, law: PatchSettings) -> tuple[Array, float, float, float]:
-    """Reduce and blur the density of a template to match the pixel size of a patch.
+    """Reduce and blur the log signal of a template to match the pixel size of a patch.
 
-    Return the density (rows, cols), the row and column of the joint line in it, and its pixel size in mm.
+    Return the negative log signal (rows, cols), row and column of the joint line, and the pixel size in mm.
     """
     step = max(1, int(MAX_SEARCH_PIXEL_MM / template.pixel_mm))
     density = compute_density(downsample_by_blocks(template.pixels, step))
@@ -271,21 +271,21 @@ def _blur_template(template: Template, law: PatchSettings) -> tuple[Array, float
 
 
 def orient_field(plain: EdgeField, side: str, way: str) -> EdgeField:
-    """Convert an edge field between an upright right knee and another side or orientation, in either direction.
+    """Convert an edge field from an upright right knee to another side or orientation, or back.
 
     Parameters
     ----------
     plain : (2, rows, cols) float32 array
-        Components down and right, dimensionless.
+        Downward and rightward component, dimensionless.
     side : {"right", "left"}
-        Side; "left" mirrors the field.
+        Left or right knee; "left" mirrors the field.
     way : {"upright", "upside down"}
         Orientation; "upside down" flips the field.
 
     Returns
     -------
     (2, rows, cols) float32 array
-        Converted field, with the signs of its components adapted.
+        Converted field; mirrored components have the opposite sign.
     """
     if side == "left":
         plain = plain[:, :, ::-1] * np.array([1, -1], np.float32)[:, None, None]

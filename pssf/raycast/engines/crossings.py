@@ -38,9 +38,9 @@ class Crossings(NamedTuple):
     window : Window
         Pixels of the rays.
     starts : (rows x cols + 1,) int64 array
-        Index of the first crossing of each pixel; the last entry is the number of crossings.
+        Index of the first crossing of each pixel; the last entry is the total number of crossings.
     depth : (n,) float64 array, dimensionless
-        Fraction of the way from the source to the pixel, in ascending order along each ray.
+        Distance from the source as a fraction of the source-to-pixel distance, in ascending order along each ray.
     sign : (n,) int8 array
         +1 where the ray leaves the surface, -1 where it enters.
     """
@@ -54,7 +54,7 @@ class Crossings(NamedTuple):
 class _Segments(NamedTuple):
     """Segments of rays inside a surface: end points (n, 3) in mm, pixels (n,) and weights (n,).
 
-    A weight is the number of times that the surface encloses the segment, over the length of the ray in mm.
+    The weight of a segment is the winding number of the surface around the segment, divided by the ray length in mm.
     """
 
     starts_mm: Array
@@ -64,7 +64,7 @@ class _Segments(NamedTuple):
 
 
 def allocate_crossings(window: Window, crossing_counts: NDArray[np.integer]) -> Crossings:
-    """Allocate crossings whose numbers are known and whose depths and signs are not.
+    """Allocate arrays for a known number of crossings per ray.
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def allocate_crossings(window: Window, crossing_counts: NDArray[np.integer]) -> 
     Returns
     -------
     Crossings
-        Crossings with final `starts` and uninitialised `depth` and `sign`.
+        Crossings with their final `starts`; the values of `depth` and `sign` are not yet set.
     """
     starts = np.zeros(crossing_counts.size + 1, np.int64)
     np.cumsum(crossing_counts, out=starts[1:])
@@ -84,9 +84,9 @@ def allocate_crossings(window: Window, crossing_counts: NDArray[np.integer]) -> 
 
 
 def merge_crossings(parts: Sequence[tuple[Crossings, int]]) -> Crossings:
-    """Merge the crossings of several surfaces into those of one.
+    """Merge the crossings of several surfaces into the crossings of one combined surface.
 
-    The merged surface encloses what the parts with factor +1 enclose, without what the parts with factor -1 enclose.
+    The combined surface encloses the volume of the surfaces with factor +1, minus the volume of those with factor -1.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def merge_crossings(parts: Sequence[tuple[Crossings, int]]) -> Crossings:
     Returns
     -------
     Crossings
-        Crossings in the smallest window that holds all parts, sorted by depth along each ray.
+        Crossings in the smallest window that contains all input windows, sorted by depth along each ray.
     """
     if len(parts) == 1 and parts[0][1] == 1:
         return parts[0][0]
@@ -114,7 +114,7 @@ def merge_crossings(parts: Sequence[tuple[Crossings, int]]) -> Crossings:
 
 
 def chord_fractions(crossings: Crossings) -> Array:
-    """Sum the lengths of each ray inside a surface.
+    """Compute the length of each ray inside a surface.
 
     Parameters
     ----------
@@ -124,7 +124,7 @@ def chord_fractions(crossings: Crossings) -> Array:
     Returns
     -------
     (rows, cols) float64 array
-        Lengths inside, as fractions of the way from the source to the pixel.
+        Lengths inside the surface, as fractions of the source-to-pixel distance.
     """
     out = np.empty((crossings.window.rows, crossings.window.cols))
     _sum_depths(crossings.starts, crossings.depth, crossings.sign, out.reshape(-1))
@@ -132,7 +132,7 @@ def chord_fractions(crossings: Crossings) -> Array:
 
 
 def integrate_along_rays(crossings: Crossings, frame: RayFrame, density: Density) -> Array:
-    """Integrate a density along the parts of each ray inside a surface.
+    """Integrate a density along the segments of each ray inside a surface.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def integrate_along_rays(crossings: Crossings, frame: RayFrame, density: Density
     Returns
     -------
     (rows, cols) float64 array
-        Integrals, as fractions of the way from the source to the pixel.
+        Integrals, as fractions of the source-to-pixel distance.
 
     Raises
     ------
@@ -165,14 +165,14 @@ def integrate_along_rays(crossings: Crossings, frame: RayFrame, density: Density
 
 @kernel()
 def sort_crossings(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8]) -> None:
-    """Sort the crossings of each ray by depth, in place (insertion sort, since rays have few crossings).
+    """Sort the crossings of each ray by depth, in place, by insertion sort because rays have few crossings.
 
     Parameters
     ----------
     starts : (pixels + 1,) int64 array
         Index of the first crossing of each pixel, as in `Crossings`.
     depth : (n,) float64 array, dimensionless
-        Fraction of the way from the source to the pixel; sorted in place.
+        Distance from the source as a fraction of the source-to-pixel distance; sorted in place.
     sign : (n,) int8 array
         +1 on exit, -1 on entry; sorted together with `depth`.
     """
@@ -187,9 +187,9 @@ def sort_crossings(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int
 
 @kernel()
 def _append_crossings(part: Crossings, factor: int, next_slot: NDArray[np.int64], whole: Crossings) -> None:
-    """Append the crossings of a part, with signs times a factor, to those of the whole.
+    """Append the crossings of `part` to those of `whole`; their signs are multiplied by `factor`.
 
-    `next_slot` (pixels,) holds the next free index of each pixel of the whole, and is advanced.
+    `next_slot` (pixels,) is the next free index of each pixel in `whole`; it is advanced in place.
     """
     cols = part.window.cols
     for pixel in range(len(part.starts) - 1):
@@ -213,7 +213,7 @@ def _sum_depths(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8],
 
 @kernel()
 def _find_segments(crossings: Crossings, frame: RayFrame, segments: _Segments) -> int:
-    """Fill `segments` with the parts of rays inside the surface; returns their number."""
+    """Fill `segments` with the ray segments inside the surface and return their number."""
     count, window, source, starts_mm, ends_mm = 0, crossings.window, frame.source, segments.starts_mm, segments.ends_mm
     for pixel in range(len(crossings.starts) - 1):
         row, col = window.row + pixel // window.cols, window.col + pixel % window.cols
@@ -223,7 +223,7 @@ def _find_segments(crossings: Crossings, frame: RayFrame, segments: _Segments) -
             frame.corner_vector.z - row * frame.pixel_mm,
         )
         first, stop = crossings.starts[pixel], crossings.starts[pixel + 1]
-        # A ray that leaves the surface more often than it enters started inside.
+        # A ray with more exits than entries starts inside the surface.
         inside, at = 0, 0.0
         for k in range(first, stop):
             inside += crossings.sign[k]

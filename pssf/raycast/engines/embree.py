@@ -1,23 +1,25 @@
-"""Embree engine: cast rays from hit to hit, recompute each hit in float64, and repair doubtful rays.
+"""Embree engine: cast rays from hit to hit, recompute each hit in float64, and correct unreliable rays.
 
-Embree works in float32. It only decides which triangle comes next. The depth at which the ray meets the plane of that
-triangle is computed in float64. The number of crossings of each ray is known in float64 from the outlines of the
-projected triangles.
+Embree works in float32 and only finds the next triangle that a ray hits. This module computes the depth of the hit in
+float64, from the plane of the triangle. It also computes the number of crossings of each ray in float64, from the
+outlines of the projected triangles.
 
-Three rules save work. A ray without crossings is not cast, and a ray stops when it has all of them. A ray takes over
-the triangles of a neighbouring pixel, or adjacent ones, if it lies strictly inside as many as it has crossings. The
-last crossing is cast from behind the surface, because rays that start outside find their triangle sooner.
+Three rules reduce the number of casts. First, a ray without crossings is not cast, and a ray stops when all its
+crossings are found. Second, a ray may reuse the triangles of a neighbouring pixel, or triangles adjacent to them. This
+requires that the ray lies strictly inside exactly as many triangles as it has crossings. Third, the last crossing is
+cast backwards from behind the surface, because Embree is faster for rays that start outside.
 
-A pixel is repaired by the scanline engine in four cases:
+The scanline engine recomputes a pixel in four cases:
 
-- The ray does not lie strictly inside the projected triangle, in float64. It passes so near an edge that Embree may
-  return the adjacent triangle, or both.
-- A hit is no deeper than the one before it, or the same triangle is hit too often: the surface is seen edge-on.
-- Embree finds no more triangles before the number of crossings is reached: at an outline, or between surfaces that
-  nearly touch.
-- The signs of the crossings do not add up to the number of times that the surface encloses the source.
+- In float64, the pixel is not strictly inside the projected triangle. The ray passes so near an edge that Embree may
+  return the adjacent triangle, or the two triangles.
+- A hit is not deeper than the previous hit, or the same triangle is hit too often. The two cases occur where the
+  surface is seen edge-on.
+- Embree finds fewer triangles than the ray has crossings. This happens at an outline, or between surfaces that nearly
+  touch.
+- The sum of the crossing signs is not the winding number of the surface around the source.
 
-So each crossing is a true one, no two are the same, and their number is right.
+After this correction, every crossing is real, none is duplicated and none is missing.
 """
 
 import os
@@ -56,28 +58,28 @@ from .ray_state import (
     advance_rays,
 )
 
-# Number of hits per ray beyond which a ray is repaired; no mesh has as many crossings.
+# Maximum number of hits per ray; a ray with more hits is repaired. Real meshes have far fewer crossings per ray.
 HIT_LIMIT = 20_000
-# One device serves all surfaces of a process, because Embree crashes at about a thousand devices. A forked process has
-# another process id and makes its own.
+# All surfaces of a process share one Embree device, because Embree crashes at about a thousand devices. The cache key
+# is the process id, so a forked process makes its own device.
 _make_device = cache(lambda process: EmbreeDevice())
 
 
 class Caster:
-    """Caster of the rays that cross one surface.
+    """Ray caster for one surface.
 
     Parameters
     ----------
     sheet : ProjectedSurface
         Projection of the surface.
     around : int
-        Number of times that the surface encloses the source.
+        Winding number of the surface around the source.
     """
 
     def __init__(self, sheet: ProjectedSurface, around: int) -> None:
         self.sheet, self.source_winding = sheet, around
-        # Embree needs a microsecond per triangle, under Python's global lock. It gets only triangles that a ray can
-        # hit.
+        # Adding a triangle to Embree takes a microsecond and blocks other Python threads (global interpreter lock).
+        # Only triangles that a ray can hit are therefore added.
         whole, in_sight = sheet.triangles, np.zeros(len(sheet.triangles.faces), np.bool_)
         in_sight[sheet.order] = True
         kept = np.flatnonzero(in_sight)
@@ -85,21 +87,22 @@ class Caster:
         if not len(kept):
             points = np.zeros((1, 3))
         low, high = points.min(axis=0), points.max(axis=0)
-        # Coordinates are relative to the centre of the surface, where float32 is finest. Relative to the focal spot,
-        # the error would be 1e-4 mm.
+        # Coordinates are relative to the centre of the surface, because float32 is most precise near zero. Coordinates
+        # relative to the focal spot would have an error of 1e-4 mm.
         centre, margin = (low + high) / 2, 0.01 * (high - low).max()
         near, far = (np.array([low[1] - margin, high[1] + margin]) - sheet.frame.source.y) / sheet.frame.corner_vector.y
         self.extent = Extent(Point(*centre.tolist()), max(float(near), 0.0), float(far))
         planes, rows = whole.planes[kept], whole.rows[kept]
         self.triangles = Triangles(whole.faces[kept], whole.projected, planes, whole.near[kept], whole.far[kept], rows)
         self.adjacent_faces = find_adjacent_faces(self.triangles.faces, len(whole.projected))
-        # The robust mode of Embree takes a fifth more time. It is not needed: missed hits show in the count and are
-        # repaired.
+        # The robust mode of Embree takes 20 % more time. It is not needed, because a missed hit changes the number of
+        # crossings. The scanline engine then recomputes the list of crossings of the ray.
         self.tree = EmbreeScene(_make_device(os.getpid()), robust=False)
-        # The embreex package converts each number on its own. Python objects take a third of the time of numpy arrays.
+        # The embreex package converts each number separately, which takes a third of the time for Python objects.
         corners = np.fromiter(zip(*faces.T.tolist(), strict=True), object, len(faces))
         TriangleMesh(self.tree, (points - centre).astype(np.float32).astype(object), corners)
-        # The first call builds the tree of Embree. It is made here, because two threads must not make it at once.
+        # The first call of run() builds the search tree of Embree. It is made here, because two threads must not build
+        # the tree at the same time.
         self.tree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), output=1)
 
     def trace_chords(self, first: int, stop: int) -> tuple[Array, Audit]:
@@ -108,14 +111,14 @@ class Caster:
         Parameters
         ----------
         first, stop : int
-            Half-open range of rows, inside one band.
+            Half-open range of rows within one band of `BAND_ROWS` rows.
 
         Returns
         -------
         chords : (rows, cols) float64 array
-            Lengths inside, as fractions of the way from the source to the pixel.
+            Lengths inside the surface, as fractions of the source-to-pixel distance.
         audit : Audit
-            Counts of the rays that were cast and repaired.
+            Counts of the rays that were cast, and of those that the scanline engine recomputed.
         """
         listed, audit = self.find_crossings(first, stop)
         return chord_fractions(listed), audit
@@ -126,14 +129,14 @@ class Caster:
         Parameters
         ----------
         first, stop : int
-            Half-open range of rows, inside one band.
+            Half-open range of rows within one band of `BAND_ROWS` rows.
 
         Returns
         -------
         crossings : Crossings
             Crossings of all rays, in order along each ray.
         audit : Audit
-            Counts of the rays that were cast and repaired.
+            Counts of the rays that were cast, and of those that the scanline engine recomputed.
         """
         number = scanline.count_crossings(self.sheet, first, stop)
         listed = allocate_crossings(Window(first, self.sheet.cols[0], *number.shape), number)
@@ -155,7 +158,7 @@ class Caster:
         return listed, self._repair_pixels(listed, bad, doubt, rays) if bad.any() else Audit(rays=rays)
 
     def _repair_pixels(self, listed: Crossings, bad: NDArray[np.bool_], doubt: NDArray[np.bool_], rays: int) -> Audit:
-        """Recompute the crossings of bad pixels with the scanline engine, in place, and return the audit.
+        """Recompute the crossings of bad pixels in place with the scanline engine; return the counts of the rays.
 
         `bad` and `doubt` have shape (rows x cols,).
         """
@@ -174,7 +177,7 @@ class Caster:
         )
 
     def _cast_rays(self, among: NDArray[np.bool_], listed: Crossings, progress: CastProgress) -> None:
-        """Cast the rays with crossings left, among the pixels marked in `among` (rows x cols,)."""
+        """Cast the rays of the pixels marked in `among` (rows x cols,) that still have crossings to find."""
         pixels = np.flatnonzero((progress.remaining > 0) & among)
         rays, count = self._start_rays(listed.window, pixels, progress.remaining[pixels]), len(pixels)
         for _ in range(HIT_LIMIT):
@@ -186,9 +189,9 @@ class Caster:
         progress.suspect[rays.pixels[:count]] = True
 
     def _start_rays(self, window: Window, pixels: NDArray[np.int64], left: Ints) -> Rays:
-        """Make rays to pixels (n,) of a window that start before the surface.
+        """Make rays to pixels (n,) of a window that start in front of the surface.
 
-        Rays with a single crossing left start behind the surface and run backwards.
+        A ray with only one crossing left to find starts behind the surface and runs backwards.
         """
         frame, (centre, near, far) = self.sheet.frame, self.extent
         x, y, z = ray_vectors_mm(frame, window.row + pixels // window.cols, window.col + pixels % window.cols)

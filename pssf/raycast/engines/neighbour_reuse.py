@@ -1,8 +1,8 @@
-"""Reuse of triangles between neighbouring pixels, so that most rays need not be cast.
+"""Reuse the triangles of neighbouring pixels, so that most rays need not be cast.
 
-The number of crossings of each ray is known. If a ray lies strictly inside that many triangles, one behind the other,
-these are all that it crosses. It does not matter where the triangles come from. Candidates are the triangles of a
-neighbouring pixel, and those adjacent to them.
+The number of crossings of each ray is known. If a pixel lies strictly inside that many projected triangles, its ray
+crosses exactly these triangles. Candidates are the triangles of a neighbouring pixel, and the triangles adjacent to
+them.
 """
 
 from typing import NamedTuple
@@ -22,23 +22,23 @@ from .ray_state import (
     make_pixel_ray,
 )
 
-# Spacing of the pixels that are cast first, in rows and columns.
+# Spacing of the grid of pixels whose rays are cast first, in rows and columns.
 GRID = 5
-# Number of edges that may be crossed from one triangle to the next.
+# Maximum number of steps from a triangle of the neighbouring pixel to adjacent triangles.
 WALK_LIMIT = 4
 
 
 class NeighbourTriangles(NamedTuple):
-    """Triangles of the last pixel, one behind the other, and the adjacency of all triangles.
+    """Triangles that the ray of the previous pixel crosses, and the adjacency of all triangles of the surface.
 
     Attributes
     ----------
     triangles : Triangles
         All triangles of the surface.
     adjacent_faces : (m, 3) int32 array
-        Adjacent face across each edge, from `find_adjacent_faces`.
+        Number of the adjacent face across each edge, from `find_adjacent_faces`.
     triangle_numbers : (most,) int32 array
-        Numbers of the triangles of the last pixel.
+        Numbers of the triangles that the ray of the previous pixel crosses, sorted by depth.
     facets : (most, 16) float64 array, mm and px
         Edges and planes of these triangles, from `load_facet`.
     """
@@ -53,7 +53,7 @@ class NeighbourTriangles(NamedTuple):
 def reuse_from_grid(
     triangles: Triangles, frame: RayFrame, crossings: Crossings, progress: CastProgress, max_crossings: int
 ) -> None:
-    """Reuse the triangles of a grid pixel for every pixel nearby whose ray lies strictly inside all of them.
+    """Reuse the triangles of each grid pixel for nearby pixels that lie strictly inside all of these triangles.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def reuse_from_grid(
     progress : CastProgress
         State of the pixels; updated in place.
     max_crossings : int
-        Largest number of crossings of a ray.
+        Largest number of crossings of any ray in the window.
     """
     rows, cols, starts, facets = (
         crossings.window.rows,
@@ -105,7 +105,7 @@ def reuse_from_grid(
 
 @kernel_helper()
 def _find_outer_edge(pixel_ray: PixelRay, facets: Array, k: int) -> int:
-    """Find an edge of triangle k of `facets` that a pixel is not strictly inside of; 3 if there is none."""
+    """Return the number of an edge of triangle k whose inner side does not contain the pixel, or 3 if none exists."""
     for corner in range(3):
         e = 4 * corner
         turn = facets[k, e + 3] * (pixel_ray.row - facets[k, e]) - (pixel_ray.col - facets[k, e + 1]) * facets[k, e + 2]
@@ -128,7 +128,7 @@ def find_adjacent_faces(faces: Ints, count: int) -> Ints:
     Returns
     -------
     (m, 3) int32 array
-        Number of the face across the edge from each corner to the next; -1 if there is none.
+        Number of the face across the edge from each corner to the next corner; -1 at a boundary edge.
     """
     first, after, across = np.empty(count, np.int32), np.empty(faces.size, np.int32), np.empty_like(faces)
     for vertex in range(count):
@@ -151,11 +151,12 @@ def find_adjacent_faces(faces: Ints, count: int) -> Ints:
 def _walk_to_pixel(
     near: NeighbourTriangles, pixel_ray: PixelRay, pixel: int, crossings: Crossings, progress: CastProgress
 ) -> bool:
-    """Step from the triangles of a neighbouring pixel to adjacent ones until all enclose this pixel.
+    """Replace triangles of a neighbouring pixel by adjacent triangles until they contain the current pixel.
 
-    Returns True if they do.
+    The search starts from the triangles hit at the neighbouring pixel. Each triangle is replaced by an adjacent one
+    until its projection contains the current pixel. Returns True if this succeeds for all crossings of the ray.
 
-    If as many triangles as the ray has crossings lie one behind the other, they are all that it crosses.
+    If the number of these triangles equals the number of crossings, the ray crosses exactly these triangles.
     """
     place, at, turns = crossings.starts[pixel], 0.0, 0
     for k in range(crossings.starts[pixel + 1] - place):
@@ -188,12 +189,12 @@ def _walk_to_pixel(
 def reuse_from_neighbours(
     near: NeighbourTriangles, frame: RayFrame, crossings: Crossings, progress: CastProgress, direction: int
 ) -> None:
-    """Reuse a neighbouring pixel's triangles, or step to adjacent ones, for every pixel strictly inside them.
+    """Reuse the triangles of a neighbouring pixel, or triangles adjacent to them, for pixels strictly inside them.
 
     Parameters
     ----------
     near : NeighbourTriangles
-        Work space, and the adjacency of the triangles.
+        Triangles of the previous pixel, which are overwritten, and the adjacency of all triangles.
     frame : RayFrame
         Source and pixels of the rays.
     crossings : Crossings
@@ -201,7 +202,7 @@ def reuse_from_neighbours(
     progress : CastProgress
         State of the pixels; updated in place.
     direction : int
-        +1 scans to the right and down, with neighbours to the left and above. -1 scans the opposite way.
+        +1 scans right and down and takes neighbours from the left and above. -1 scans left and up.
     """
     rows, cols, starts = crossings.window.rows, crossings.window.cols, crossings.starts
     for n in range(rows) if direction > 0 else range(rows - 1, -1, -1):

@@ -1,4 +1,4 @@
-"""Rays from the source to the pixels: direction, length, and the part inside a box."""
+"""Rays from the source to the pixels: direction, length, and length inside a box."""
 
 from functools import lru_cache
 
@@ -33,7 +33,7 @@ def ray_vectors_mm(frame: RayFrame, rows: NDArray[np.integer], cols: NDArray[np.
 
 
 def add_box_path(frame: RayFrame, bounds_mm: Array, first_row: int, fraction: Array) -> None:
-    """Add the part of each ray inside an axis-parallel box, as a fraction of its length.
+    """Add the length of each ray inside an axis-parallel box, as a fraction of the source-to-pixel distance.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def add_box_path(frame: RayFrame, bounds_mm: Array, first_row: int, fraction: Ar
     first_row : int
         Row of the image at which `fraction` starts.
     fraction : (rows, cols) float64 array, dimensionless
-        Fraction of the way from the source to the pixel; added to in place.
+        Path length as a fraction of the source-to-pixel distance; the length inside the box is added in place.
     """
     x, y, z = ray_vectors_mm(frame, first_row + np.arange(fraction.shape[0]), np.arange(fraction.shape[1]))
     ways = x, np.array([y]), z[:, None]
@@ -54,12 +54,12 @@ def add_box_path(frame: RayFrame, bounds_mm: Array, first_row: int, fraction: Ar
 
 
 def convert_to_mm(fraction: Array, frame: RayFrame, first_row: int) -> Array:
-    """Convert fractions of the way from the source to the pixel into millimetres.
+    """Convert fractions of the source-to-pixel distance to millimetres.
 
     Parameters
     ----------
     fraction : (rows, cols) float64 array, dimensionless
-        Fraction of the way from the source to the pixel.
+        Path length as a fraction of the source-to-pixel distance.
     frame : RayFrame
         Source and pixels of the rays.
     first_row : int
@@ -81,10 +81,10 @@ def _ray_lengths_mm(frame: RayFrame, first_row: int, rows: int, cols: int) -> Ar
 
 
 def _slab_interval(low: float, high: float, source: float, way: Array) -> tuple[Array, Array]:
-    """Compute the fractions of the way at which rays enter and leave a slab, clipped to 0 to 1."""
+    """Compute the fractions of the ray length at which rays enter and leave a slab, clipped to the range 0 to 1."""
     with np.errstate(divide="ignore", invalid="ignore"):
         one, other = (low - source) / way, (high - source) / way
     near, far = np.maximum(np.minimum(one, other), 0.0), np.minimum(np.maximum(one, other), 1.0)
-    # For rays parallel to the slab, its lower side counts as inside and its upper side as outside.
+    # A ray parallel to the slab is inside if it starts at or above the lower face and below the upper face.
     near[way == 0], far[way == 0] = (0.0, 1.0) if low <= source < high else (1.0, 0.0)
     return near, far

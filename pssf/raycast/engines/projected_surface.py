@@ -11,7 +11,7 @@ from ...geometry.mesh_repair import Solid
 from ...geometry.view import View, depth_fraction, project_at_depth
 from .triangle_clipping import MIN_DEPTH_FRACTION, clip_mesh_at_source
 
-# Rows per band. An image is computed band by band for any number of workers, so that the result does not depend on it.
+# Number of image rows per band. The bands do not depend on the number of workers, so the result does not either.
 BAND_ROWS = 32
 
 
@@ -30,7 +30,7 @@ class Point(NamedTuple):
 
 
 class RayFrame(NamedTuple):
-    """Start and end of the rays.
+    """Source, first pixel and pixel size, which define the ray to every pixel.
 
     Attributes
     ----------
@@ -48,9 +48,9 @@ class RayFrame(NamedTuple):
 
 
 class Triangles(NamedTuple):
-    """Triangles in the form that compiled code reads.
+    """Triangles of a surface as arrays for compiled code.
 
-    A depth is a fraction of the way from the source to the pixel.
+    A depth is a fraction of the source-to-detector distance.
 
     Attributes
     ----------
@@ -59,12 +59,12 @@ class Triangles(NamedTuple):
     projected : (n, 2) float64 array
         Row and column of each projected vertex, in pixels.
     planes : (m, 4) float64 array
-        Normal, not of unit length, and its product with (vertex - source). The depth at a pixel is the fourth number
-        over the product of the normal with (pixel - source).
+        The normal, not of unit length, in three numbers, and its dot product with (vertex - source) in the fourth. The
+        depth at a pixel is the fourth number divided by the dot product of the normal with (pixel - source).
     near, far : (m,) float64 array
-        Depths of the nearest and of the farthest vertex.
+        Depths of the nearest and the farthest vertex of each triangle.
     rows : (m, 2) int32 array
-        Half-open range of the rows that a triangle may cover.
+        Half-open range of the rows that each triangle may cover.
     """
 
     faces: NDArray[np.int32]
@@ -77,10 +77,10 @@ class Triangles(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class ProjectedSurface:
-    """Closed surface as the detector sees it.
+    """Closed surface with its projection onto the detector.
 
-    The part behind the source is cut off. The surface is then open at the source. The signs of the crossings of every
-    ray add up to the number of times that the surface encloses the source, instead of zero.
+    The part behind the source is cut off, which leaves the surface open at the source. The sum of the crossing signs of
+    every ray is then the winding number of the surface around the source.
 
     Attributes
     ----------
@@ -91,9 +91,9 @@ class ProjectedSurface:
     triangles : Triangles
         Triangles of the surface.
     rows, cols : tuple of int
-        Half-open ranges of the pixels that the surface can cover.
+        Half-open ranges of the rows and columns that the surface can cover.
     order : (k,) int32 array
-        Triangles of band 0, then of band 1, and so on; triangles that cover no pixel are left out.
+        Numbers of the triangles of band 0, then of band 1, and so on, without triangles that cover no pixel.
     starts : (bands + 1,) int64 array
         Index in `order` at which each band starts.
     is_clipped : bool
@@ -110,7 +110,7 @@ class ProjectedSurface:
     is_clipped: bool
 
     def triangles_in_band(self, row: int) -> NDArray[np.int32]:
-        """Return the triangles that may cover pixels of a band.
+        """Return the triangles that may cover pixels of a band of rows.
 
         Parameters
         ----------
@@ -137,7 +137,7 @@ def make_ray_frame(view: View) -> RayFrame:
     Returns
     -------
     RayFrame
-        Start and end of the rays.
+        Source, first pixel and pixel size.
     """
     (x, y, z), source = view.first_pixel_mm, Point(*map(float, view.source_mm))
     return RayFrame(source, Point(float(x - source.x), float(y - source.y), float(z - source.z)), float(view.pixel_mm))
@@ -190,7 +190,7 @@ def _face_extremes(values: Array, faces: NDArray[np.int32]) -> tuple[Array, Arra
 
 
 def _face_planes(points: Array, faces: NDArray[np.int32], source: Point) -> Array:
-    """Compute the planes (m, 4) of faces: the normal, and its product with (vertex - source)."""
+    """Compute the planes (m, 4) of faces: the normal, and its dot product with (vertex - source)."""
     a, b, c = (points[faces[:, corner]] for corner in range(3))
     (ux, uy, uz), (vx, vy, vz) = (b - a).T, (c - a).T
     x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
@@ -202,7 +202,7 @@ def _sort_into_bands(
     projected: Array, faces: NDArray[np.int32], view: View
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
     """Compute the row ranges (m, 2) of faces, and the `order` and `starts` of `ProjectedSurface`."""
-    # Ranges are half-open, so that an edge exactly on a pixel row belongs to one of its two triangles only.
+    # Row ranges are half-open, so that an edge exactly on a pixel row belongs to only one of its two triangles.
     (top, bottom), (left, right) = (
         np.clip(np.ceil(_face_extremes(projected[:, axis], faces)), 0, size).astype(np.int32)
         for axis, size in enumerate((view.rows, view.cols))

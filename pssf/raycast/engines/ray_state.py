@@ -1,4 +1,4 @@
-"""State of the rays that are being cast, and their advance from hit to hit."""
+"""State of the rays that are being cast, and their restart after each hit."""
 
 import math
 from typing import NamedTuple
@@ -14,20 +14,20 @@ from .projected_surface import Point, RayFrame, Triangles
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
 
-# Relative spacing of float32 numbers at 1.
+# Spacing of float32 numbers at 1.
 FLOAT32_EPSILON = float(np.finfo(np.float32).eps)
 
-# Distance of a restarted ray from the far side of the triangle that it hit, in float32 spacings. It is measured along
-# the normal of the triangle, since a step along a grazing ray would hit the triangle again. The distance exceeds the
-# rounding errors. Two sheets of a surface closer than 4e-5 mm (100 mm from its centre) are skipped together.
+# Distance from the hit triangle at which a ray restarts behind it, in float32 spacings. The distance is measured along
+# the normal of the triangle, because a step along a grazing ray would hit the triangle again. It exceeds the rounding
+# error. Two layers of a surface closer than 4e-5 mm, at 100 mm from its centre, are skipped together.
 RESTART_EPSILONS = 3.0
 
-# Number of repeated hits of the same triangle after which a ray is repaired.
+# Maximum number of repeated hits of the same triangle; a ray with more is repaired.
 REPEAT_HIT_LIMIT = 8
 
 
 class Rays(NamedTuple):
-    """Rays that are being cast, packed at the start of each array.
+    """Rays that are being cast; active rays are at the start of each array.
 
     Attributes
     ----------
@@ -38,11 +38,11 @@ class Rays(NamedTuple):
     pixels : (n,) int32 array
         Pixel number within the window.
     depths : (n,) float64 array, dimensionless
-        Depth of the last hit, as a fraction of the way from the source to the pixel.
+        Depth of the last hit, as a fraction of the source-to-pixel distance.
     triangles : (n,) int32 array
         Triangle of the last hit; -1 before the first hit.
     repeat_hits : (n,) int32 array
-        Number of times in a row that this triangle was hit again.
+        Number of consecutive repeated hits of this triangle.
     """
 
     origins: Floats
@@ -54,14 +54,14 @@ class Rays(NamedTuple):
 
 
 class Extent(NamedTuple):
-    """Position of a surface.
+    """Centre and depth range of a surface.
 
     Attributes
     ----------
     centre : Point
         Centre of the surface, in mm.
     near, far : float
-        Depths before and behind the surface, as fractions of the way from the source to the detector.
+        Depths just in front of and just behind the surface, as fractions of the source-to-detector distance.
     """
 
     centre: Point
@@ -70,16 +70,16 @@ class Extent(NamedTuple):
 
 
 class CastProgress(NamedTuple):
-    """Progress of the pixels of a window.
+    """Progress of ray casting for each pixel of a window.
 
     Attributes
     ----------
     remaining : (pixels,) int32 array
         Number of crossings that are not yet found.
     sign_sum : (pixels,) int32 array
-        Sum of the signs of the crossings found.
+        Sum of the signs of the crossings found so far.
     suspect : (pixels,) bool array
-        True if a hit cannot be trusted.
+        True if the ray of the pixel has an unreliable hit.
     hit_triangles : (crossings,) int32 array
         Triangle of each crossing.
     """
@@ -91,7 +91,7 @@ class CastProgress(NamedTuple):
 
 
 class PixelRay(NamedTuple):
-    """Pixel and the vector from the source to it.
+    """Pixel and the vector from the source to its centre.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ def make_pixel_ray(frame: RayFrame, row: int, col: int) -> PixelRay:
     Returns
     -------
     PixelRay
-        The pixel and the vector from the source to it.
+        The pixel and the vector from the source to its centre.
     """
     return PixelRay(
         row,
@@ -137,8 +137,8 @@ def make_pixel_ray(frame: RayFrame, row: int, col: int) -> PixelRay:
 def load_facet(triangles: Triangles, triangle: int, facets: Array, k: int) -> None:
     """Copy the edges and the plane of a triangle into a row of `facets`.
 
-    For each edge, a row holds the row and column of its start, and the change of both along the edge. The plane
-    follows.
+    A row has four numbers per edge: row and column of its start, and the changes of row and column along the edge. The
+    four numbers of the plane follow.
 
     Parameters
     ----------
@@ -172,17 +172,17 @@ def hit_depth(pixel_ray: PixelRay, facets: Array, k: int, min_depth: float) -> f
     facets : (n, 16) float64 array, mm and px
         Edges and planes of triangles, from `load_facet`.
     k : int
-        Row of `facets` that holds the triangle.
+        Row of `facets` with the triangle.
     min_depth : float
-        Depth that the hit must exceed.
+        Lower limit of the depth; a hit must be deeper.
 
     Returns
     -------
     float
-        Fraction of the way from the source to the pixel. 0 if it is not above `min_depth`, or the pixel is not strictly
-        inside the projected triangle.
+        Depth as a fraction of the source-to-pixel distance. It is 0 if the depth does not exceed `min_depth`, or the
+        pixel is not strictly inside the projected triangle.
     """
-    scaled = facets[k, 15]  # It is positive if the ray meets the triangle from behind.
+    scaled = facets[k, 15]  # Positive if the ray meets the triangle from behind, that is, leaves the surface.
     at = scaled / (facets[k, 12] * pixel_ray.x + facets[k, 13] * pixel_ray.y + facets[k, 14] * pixel_ray.z)
     if not at > min_depth:
         return 0.0
@@ -201,7 +201,7 @@ def _load_point(vectors: Floats, k: int) -> Point:
 
 @kernel_helper()
 def _point_at_depth(frame: RayFrame, centre: Point, pixel_ray: PixelRay, depth: float) -> Point:
-    """Compute the point of a ray at a depth, relative to the centre of a surface."""
+    """Compute the point at a given depth along a ray, relative to the centre of a surface."""
     x, y, z = frame.source.x - centre.x, frame.source.y - centre.y, frame.source.z - centre.z
     return Point(x + depth * pixel_ray.x, y + depth * pixel_ray.y, z + depth * pixel_ray.z)
 
@@ -216,29 +216,29 @@ def advance_rays(
     progress: CastProgress,
     rays: Rays,
 ) -> int:
-    """Record the hits, drop rays that are finished or doubtful, and restart the others.
+    """Record the hits, remove rays that are finished or unreliable, and restart the others.
 
     Parameters
     ----------
     hits : tuple of (n,) int32 array and (n,) float32 array, mm
-        Triangle that Embree hit, negative for none, and distance to it.
+        Number of the triangle that each ray hit, negative for no hit, and the distance to it.
     triangles : Triangles
         Triangles of the surface.
     frame : RayFrame
         Source and pixels of the rays.
     extent : Extent
-        Position of the surface.
+        Centre and depth range of the surface.
     crossings : Crossings
         Crossings of the window; filled in place.
     progress : CastProgress
         State of the pixels; updated in place.
     rays : Rays
-        Rays that were cast; those that go on are packed at the start.
+        Rays that were cast. Those that continue are moved to the start of each array.
 
     Returns
     -------
     int
-        Number of rays that go on.
+        Number of rays that continue.
     """
     window = crossings.window
     count, facet, left, doubt = 0, np.empty((1, 16)), progress.remaining, progress.suspect
@@ -249,7 +249,8 @@ def advance_rays(
         row = pixel // window.cols
         spot = make_pixel_ray(frame, window.row + row, window.col + pixel - row * window.cols)
         if triangle == rays.triangles[k] and left[pixel] > 1:
-            # Rounding placed the new start before the triangle just left. The ray restarts at the distance from Embree.
+            # Due to rounding, the new start is in front of the triangle that was just hit. The ray restarts at the
+            # distance that Embree reported.
             at, tries = rays.depths[k], rays.repeat_hits[k] + 1
             start, off, far = _load_point(rays.origins, k), _load_point(rays.directions, k), hits[1][k]
             place = Point(start.x + far * off.x, start.y + far * off.y, start.z + far * off.z)

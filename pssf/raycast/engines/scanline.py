@@ -1,9 +1,9 @@
-"""Scanline engine: project triangles onto the detector and add up their depths per pixel, in float64.
+"""Scanline engine: project triangles onto the detector and sum their signed depths per pixel, in float64.
 
-The method is exact by construction. On a pixel row, a triangle covers the columns between two of its directed edges,
-one that goes down and one that goes up. The adjacent triangle has the shared edge in the opposite direction and gets
-the same column, bit for bit. The signs of a closed surface therefore add up to zero at every pixel, even for slivers
-and triangles seen edge-on.
+The method has neither gaps nor overlaps between triangles. On a pixel row, a triangle covers the columns between two of
+its directed edges, one downward and one upward. Two adjacent triangles share an edge in opposite directions, and the
+column of the edge is identical to the last bit for both. The crossing signs of a closed surface therefore add up to
+zero at every pixel, even for very thin triangles and triangles seen edge-on.
 """
 
 import math
@@ -27,18 +27,18 @@ Ints = NDArray[np.int32]
 
 
 class Caster:
-    """Caster of all rays of a window that a surface can cover.
+    """Ray caster for one surface, with the interface of the Embree caster.
 
     Parameters
     ----------
     sheet : ProjectedSurface
         Projection of the surface.
     around : int
-        Number of times that the surface encloses the source; not needed by this engine.
+        Winding number of the surface around the source; this engine does not need it.
     """
 
     def __init__(self, sheet: ProjectedSurface, around: int) -> None:
-        del around  # The signs are right by construction.
+        del around  # The crossing signs need no check, because the scanline method is exact.
         self.sheet = sheet
 
     def trace_chords(self, first: int, stop: int) -> tuple[Array, Audit]:
@@ -47,14 +47,14 @@ class Caster:
         Parameters
         ----------
         first, stop : int
-            Half-open range of rows, inside one band.
+            Half-open range of rows within one band of `BAND_ROWS` rows.
 
         Returns
         -------
         chords : (rows, cols) float64 array
-            Lengths inside, as fractions of the way from the source to the pixel.
+            Lengths inside the surface, as fractions of the source-to-pixel distance.
         audit : Audit
-            Count of the rays; none needs a repair.
+            Number of rays; none needs a repair.
         """
         lengths = trace_chords(self.sheet, first, stop)
         return lengths, Audit(rays=lengths.size)
@@ -65,14 +65,14 @@ class Caster:
         Parameters
         ----------
         first, stop : int
-            Half-open range of rows, inside one band.
+            Half-open range of rows within one band of `BAND_ROWS` rows.
 
         Returns
         -------
         crossings : Crossings
             Crossings of all rays, in order along each ray.
         audit : Audit
-            Count of the rays; none needs a repair.
+            Number of rays; none needs a repair.
         """
         listed = find_crossings(self.sheet, first, stop)
         return listed, Audit(rays=len(listed.starts) - 1)
@@ -81,8 +81,8 @@ class Caster:
 class _Spans(NamedTuple):
     """Runs of pixels, each on one row and within one triangle; all arrays have shape (n,).
 
-    `triangle` and `row` are numbers, and `left` and `right` a half-open range of columns. `sign` is +1 where the ray
-    meets the triangle from behind, so that it leaves the surface, and -1 where it enters.
+    `triangle` is the number of the triangle, `row` the image row, and `left` to `right` the half-open range of columns.
+    `sign` is +1 where rays leave the surface through the triangle, and -1 where they enter.
     """
 
     triangle: Ints
@@ -100,13 +100,13 @@ def trace_chords(sheet: ProjectedSurface, first: int, stop: int) -> Array:
     sheet : ProjectedSurface
         Projection of the surface.
     first, stop : int
-        Half-open range of rows, inside one band.
+        Half-open range of rows within one band of `BAND_ROWS` rows.
 
     Returns
     -------
     (rows, cols) float64 array
-        Sum of sign x depth over the crossings, + on exit and - on entry, for the columns of `sheet`. It is a fraction
-        of the way from the source to the pixel.
+        Sum of sign x depth over the crossings, + on exit and - on entry, for the columns of `sheet`. Depths are
+        fractions of the source-to-pixel distance.
     """
     window = _make_window(sheet, first, stop)
     sums = np.zeros((window.rows, window.cols))
@@ -124,12 +124,12 @@ def sum_windings(sheet: ProjectedSurface, first: int, stop: int) -> NDArray[np.i
     sheet : ProjectedSurface
         Projection of the surface.
     first, stop : int
-        Half-open range of rows, inside one band.
+        Half-open range of rows within one band of `BAND_ROWS` rows.
 
     Returns
     -------
     (rows, cols) int64 array
-        Sums for the columns of `sheet`; for a closed surface, all are the same.
+        Sums for the columns of `sheet`. For a closed surface, all sums are equal.
     """
     window = _make_window(sheet, first, stop)
     spans, _ = _collect_spans(sheet, sheet.triangles_in_band(first), window)
@@ -147,7 +147,7 @@ def count_crossings(sheet: ProjectedSurface, first: int, stop: int) -> Ints:
     sheet : ProjectedSurface
         Projection of the surface.
     first, stop : int
-        Half-open range of rows, inside one band.
+        Half-open range of rows within one band of `BAND_ROWS` rows.
 
     Returns
     -------
@@ -158,14 +158,14 @@ def count_crossings(sheet: ProjectedSurface, first: int, stop: int) -> Ints:
 
 
 def find_crossings(sheet: ProjectedSurface, first: int, stop: int) -> Crossings:
-    """Find every crossing of the rays of a range of rows with a surface.
+    """Find every crossing of a surface with the rays to a range of rows.
 
     Parameters
     ----------
     sheet : ProjectedSurface
         Projection of the surface.
     first, stop : int
-        Half-open range of rows, inside one band.
+        Half-open range of rows within one band of `BAND_ROWS` rows.
 
     Returns
     -------
@@ -187,7 +187,7 @@ def recompute_crossings(sheet: ProjectedSurface, window_crossings: Crossings, pi
     sheet : ProjectedSurface
         Projection of the surface.
     window_crossings : Crossings
-        Crossings of a window inside one band, whose numbers are right.
+        Crossings of a window within one band. The number of crossings per pixel must be correct.
     pixels : (rows x cols,) bool array
         True for the pixels to recompute.
     """
@@ -196,7 +196,7 @@ def recompute_crossings(sheet: ProjectedSurface, window_crossings: Crossings, pi
 
 
 def _make_window(sheet: ProjectedSurface, first: int, stop: int) -> Window:
-    """Make the window of a range of rows and the columns of a surface."""
+    """Make a window from a range of rows and the columns that a surface can cover."""
     return Window(first, sheet.cols[0], stop - first, sheet.cols[1] - sheet.cols[0])
 
 
@@ -221,19 +221,19 @@ def _fill_crossings(
 
 @kernel_helper()
 def _edge_column(projected: Array, one: int, other: int, row: int) -> float:
-    """Compute the column at which an edge crosses a row; bit for bit the same in both directions of the edge."""
+    """Compute the column at which an edge crosses a row, identical to the last bit for both edge directions."""
     i, j = min(one, other), max(one, other)
     start, end = projected[i, 1], projected[j, 1]
     column = start + (row - projected[i, 0]) / (projected[j, 0] - projected[i, 0]) * (end - start)
-    # Rounding must not move the column off the edge, because triangles are assigned to pixels by their vertices.
+    # The column is clipped to the edge, because a rounding error could move it outside the pixel range of the triangle.
     return min(max(column, min(start, end)), max(start, end))
 
 
 @kernel()
 def _find_spans(picked: Ints, triangles: Triangles, window: Window, spans: _Spans, steps: Ints) -> int:
-    """Fill in the spans and return their number.
+    """Fill the arrays of `spans` and return the number of spans.
 
-    In `steps` (rows, cols), 1 is added where a span starts on a row, and subtracted where it has ended.
+    In `steps` (rows, cols), each span adds 1 at its first column and subtracts 1 after its last column.
     """
     count, projected = 0, triangles.projected
     for k in picked:
@@ -241,7 +241,8 @@ def _find_spans(picked: Ints, triangles: Triangles, window: Window, spans: _Span
             down, up = 0.0, 0.0
             for corner in range(3):
                 one, other = triangles.faces[k, corner], triangles.faces[k, (corner + 1) % 3]
-                # The interval is half-open, so that a vertex on a pixel row belongs to one of its two edges.
+                # The row range of an edge is half-open, so that a vertex on a pixel row belongs to only one of its two
+                # edges.
                 above, below = projected[one, 0] <= row, projected[other, 0] <= row
                 if above != below:
                     column = _edge_column(projected, one, other, row)
@@ -263,15 +264,15 @@ def _accumulate_depths(spans: _Spans, triangles: Triangles, frame: RayFrame, win
     """Add sign x depth at the pixels of the spans to `sums` (rows, cols)."""
     for n in range(len(spans.row)):
         k, row = spans.triangle[n], spans.row[n]
-        # The depth of a triangle seen edge-on is undefined at a pixel; it is clipped to the depths of the vertices. A
-        # crossing behind the detector counts as one in the plane of the detector.
+        # The depth of a triangle seen edge-on is undefined, so depths are clipped to the depth range of the vertices. A
+        # crossing behind the detector gets the depth of the detector plane.
         near, far = min(triangles.near[k], 1.0), min(triangles.far[k], 1.0)
         x, sign = triangles.planes[k, 0], float(spans.sign[n])
         start = x * frame.corner_vector.x + triangles.planes[k, 1] * frame.corner_vector.y
         start += triangles.planes[k, 2] * (frame.corner_vector.z - row * frame.pixel_mm)
         for col in range(spans.left[n], spans.right[n]):
             at = triangles.planes[k, 3] / (start + x * (col * frame.pixel_mm))
-            at = at if at > near else near  # Written this way, so that 0/0 (NaN) gives the bound, too.
+            at = at if at > near else near  # This form replaces NaN, from 0/0, by the limit.
             at = at if at < far else far
             sums[row - window.row, col - window.col] += sign * at
 
@@ -280,10 +281,10 @@ def _accumulate_depths(spans: _Spans, triangles: Triangles, frame: RayFrame, win
 def _write_crossings(
     spans: _Spans, triangles: Triangles, frame: RayFrame, window_crossings: Crossings, next_slot: NDArray[np.int64]
 ) -> None:
-    """Write the crossings at the pixels of the spans.
+    """Store the crossings of rays and surface for every pixel of the scanline spans.
 
-    `next_slot` (pixels,) holds the next free index of each pixel and is advanced. A pixel with a negative index is
-    skipped.
+    `next_slot` (pixels,) is the next free index of each pixel; it is advanced in place. Pixels with a negative index
+    are skipped.
     """
     for n in range(len(spans.row)):
         k, row = spans.triangle[n], spans.row[n]

@@ -1,7 +1,6 @@
 """Maps of path lengths, stored in bands of rows without the empty columns beside the object.
 
-For a large detector, the maps of all materials take most of the memory of a radiograph, and most of their pixels are
-air.
+For a large detector, the path length maps take most of the memory of a simulation, and most of their pixels show air.
 """
 
 from mmap import mmap
@@ -14,9 +13,9 @@ from .projected_surface import BAND_ROWS
 
 
 class SparseMap:
-    """Map of shape (rows, cols), in mm, that is written and read by rows.
+    """Path length map of shape (rows, cols), in mm, that is written and read in bands of rows.
 
-    It holds the same numbers as an array, zeros included.
+    Reading returns the same numbers as a full array; columns that are not stored are zero.
 
     Parameters
     ----------
@@ -31,12 +30,12 @@ class SparseMap:
         self._row_bands: dict[int, tuple[int, NDArray[Any]]] = {}
 
     def __setitem__(self, rows: slice, values: NDArray[Any]) -> None:
-        """Write a band of rows; it starts at a multiple of `BAND_ROWS` and has at most that many rows."""
+        """Write a band of at most `BAND_ROWS` rows that starts at a multiple of `BAND_ROWS`."""
         used = np.flatnonzero(values.any(axis=0))
         if len(used):
             left, right = int(used[0]), int(used[-1]) + 1
-            # Each piece has its own memory map, so that its memory returns to the system at once. The heap would keep
-            # it.
+            # Each band has its own memory map, because the system gets this memory back as soon as the map is deleted.
+            # Memory from the heap would stay with the process.
             piece = np.frombuffer(mmap(-1, len(values) * (right - left) * self.dtype.itemsize), self.dtype)
             piece = piece.reshape(len(values), right - left)
             piece[:] = values[:, left:right]
@@ -79,7 +78,7 @@ class SparseMap:
         return float(np.min(self._extremes(np.min)))
 
     def _extremes(self, of: Any) -> list[Any]:
-        """Apply a function to every stored piece; the result includes 0 if some pixels are not stored."""
+        """Return the minimum or maximum of every stored band, and 0 if some pixels are not stored."""
         values = [of(part) for _, part in self._row_bands.values()]
         held = sum(part.size for _, part in self._row_bands.values())
         return values if held == self.shape[0] * self.shape[1] else [*values, self.dtype.type(0)]

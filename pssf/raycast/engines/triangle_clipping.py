@@ -1,19 +1,19 @@
-"""Clipping of triangles in front of the source, since no ray meets what is behind it."""
+"""Clip triangles at the source, because no ray reaches the part of a surface behind the source."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import Array
 
-# Smallest depth of a mesh, as a fraction of the way from the source to the detector. Projections are at most 1e7 times
-# the distance of the detector, where float64 still resolves 1e-5 pixels.
+# Smallest depth of a clipped mesh, as a fraction of the source-to-detector distance. Projected coordinates are then at
+# most 1e7 times that distance, where float64 still resolves 1e-5 pixels.
 MIN_DEPTH_FRACTION = 1e-7
 
 
 def clip_mesh_at_source(
     points: Array, faces: NDArray[np.int32], depth: Array
 ) -> tuple[Array, NDArray[np.int32], Array, NDArray[np.int64]]:
-    """Cut off the part of a mesh that is less than `MIN_DEPTH_FRACTION` deep.
+    """Cut off the part of a mesh whose depth is less than `MIN_DEPTH_FRACTION`.
 
     Parameters
     ----------
@@ -22,30 +22,30 @@ def clip_mesh_at_source(
     faces : (m, 3) int32 array
         Vertex numbers of the faces.
     depth : (n,) float64 array, dimensionless
-        Depth of each vertex, as a fraction of the way from the source to the detector.
+        Depth of each vertex, as a fraction of the source-to-detector distance.
 
     Returns
     -------
     points : (p, 3) float64 array
-        Vertices that are left, and those on the cut, in mm.
+        Remaining vertices and new vertices on the cut, in mm.
     faces : (q, 3) int32 array
-        Faces that are left.
+        Remaining faces.
     depth : (p,) float64 array
-        Depths of these vertices.
+        Depths of the returned vertices.
     origin : (q,) int64 array
-        For each face, the number of the original face that it is a part of.
+        Number of the original face of each returned face.
     """
     ahead = depth >= MIN_DEPTH_FRACTION
     count = ahead[faces].sum(axis=1)
     whole = np.flatnonzero(count == 3)
-    # The corners of a cut face are rotated: the odd one, alone ahead of the plane or alone behind it, comes first.
+    # The corners of a cut face are rotated, so that the only corner on its side of the cutting plane comes first.
     one, two = np.flatnonzero(count == 1), np.flatnonzero(count == 2)
     odd_one, odd_two = (
         _rotate_odd_corner_first(faces[one], ahead[faces[one]]),
         _rotate_odd_corner_first(faces[two], ~ahead[faces[two]]),
     )
     cut = np.concatenate((odd_one[:, [0, 1]], odd_one[:, [2, 0]], odd_two[:, [0, 1]], odd_two[:, [2, 0]]))
-    # The two faces of an edge share the new vertex, so that the cut adds no gaps to the mesh.
+    # Two faces with a common cut edge share the new vertex on it, so that the cut makes no gaps in the mesh.
     edges, number = np.unique(np.sort(cut, axis=1), axis=0, return_inverse=True)
     along = (MIN_DEPTH_FRACTION - depth[edges[:, 0]]) / (depth[edges[:, 1]] - depth[edges[:, 0]])
     cuts = points[edges[:, 0]] + along[:, None] * (points[edges[:, 1]] - points[edges[:, 0]])
@@ -68,6 +68,6 @@ def clip_mesh_at_source(
 
 
 def _rotate_odd_corner_first(faces: NDArray[np.int32], odd: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Rotate the corners of faces (m, 3) so that the one marked in `odd` (m, 3) comes first."""
+    """Rotate the corners of faces (m, 3) so that the corner marked in `odd` (m, 3) comes first."""
     turn = (odd.argmax(axis=1)[:, None] + np.arange(3)) % 3
     return np.take_along_axis(faces, turn, axis=1)

@@ -1,4 +1,4 @@
-"""Grades and the classification tasks between them."""
+"""Grades, and classification tasks that distinguish them."""
 
 from collections.abc import Iterable
 
@@ -24,7 +24,7 @@ def find_tasks(grades: Iterable[int]) -> dict[str, Classes]:
     Parameters
     ----------
     grades : iterable of int
-        Grades that are present.
+        KL grades in the data.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def select_contrast(grades: Iterable[int]) -> str:
     Parameters
     ----------
     grades : iterable of int
-        Grades that are present.
+        KL grades in the data.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def select_contrast(grades: Iterable[int]) -> str:
 
 
 def lowest_grades(task: str) -> tuple[int, ...]:
-    """Find the lowest grade of each class; it stands for the class in tables.
+    """Find the lowest grade of each class, which labels the class in tables.
 
     Parameters
     ----------

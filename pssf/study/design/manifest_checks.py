@@ -1,4 +1,4 @@
-"""Checks of the values of a manifest, row by row; tables on the command line pass the same checks."""
+"""Checks of the values in a manifest and in tables given on the command line."""
 
 from collections.abc import Callable
 from functools import partial
@@ -11,35 +11,35 @@ from ...core.checks import InputError, require_choice, require_in_range
 from ...io.patients.patient_list import GRADES, SIDES
 from .response_curve_design import DesignedManifests
 
-# Columns that identify something. Neither empty text nor NaN is allowed: it could mean one subject or several.
+# Identifier columns. Empty text and NaN are not allowed, because they could mean one subject or several.
 _IDENTIFIER_COLUMNS = ("radiograph", "subject", "knee", "protocol", "file", "sha256")
 # Allowed range of each length, in mm.
 _LENGTH_RANGES_MM = {"pixel_mm": (0.001, 50.0), "sdd_mm": (10.0, 20_000.0), "sod_mm": (10.0, 20_000.0)}
-# Columns of numbers that may be unknown (NaN).
+# Numeric columns whose values may be unknown (NaN).
 _OPTIONAL_NUMBERS = ("truth_medial_row_px", "truth_medial_col_px", "age_years", "stature_mm", "jsw_medial_mm")
 
 
 def require_manifest(manifest: Any, table_name: str = "manifest") -> pd.DataFrame:
-    """Check the values of every column that a manifest has; `check_manifest` checks which columns it must have.
+    """Check the values in all columns of a manifest; `measurement.check_manifest` finds missing columns.
 
     Parameters
     ----------
     manifest : DataFrame
-        One row per radiograph. Missing columns are not checked.
+        One row per radiograph. Missing columns are allowed.
     table_name : str
         Name of the table in error messages.
 
     Returns
     -------
     DataFrame
-        The manifest with integer grades; pandas stores 2 as 2.0 in a column that has had gaps.
+        The manifest with integer grades; pandas stores 2 as 2.0 in a column with gaps.
 
     Raises
     ------
     InputError
-        The manifest is no data frame, is empty or has a column twice. An identifier is missing, or is text in one row
-        and a number in another (1 and "1"). A grade is not 0 to 4, a side is neither right nor left, or a length is no
-        number or out of range.
+        The manifest is not a data frame, is empty or has a column twice. An identifier is missing, or a column of
+        identifiers contains both text and numbers (1 and "1"). A grade is not 0 to 4, a side is neither right nor left,
+        or a length is not a number or out of range.
     """
     if not isinstance(manifest, pd.DataFrame):
         raise InputError(f"{table_name} must be a pandas DataFrame, got {type(manifest).__name__}")
@@ -86,12 +86,12 @@ def _require_one_kind(manifest: pd.DataFrame, column: str, table_name: str) -> N
     if len(kinds) > 1:
         raise InputError(
             f"{table_name}: {column} must be text in all rows or numbers in all rows, got both: "
-            '1 and "1" would count as two'
+            '1 and "1" would be two identifiers'
         )
 
 
 def _require_grade(name: str, value: Any) -> None:
-    """Raise InputError unless a grade is one of the KL grades; 2.0 counts as 2."""
+    """Raise InputError unless a grade is one of the KL grades; 2.0 is accepted as 2."""
     whole = isinstance(value, float | np.floating) and float(value).is_integer()
     require_choice(name, int(value) if whole else value, GRADES)
 
@@ -119,12 +119,12 @@ def require_designed(designed: DesignedManifests) -> DesignedManifests:
     Returns
     -------
     DesignedManifests
-        The same manifests.
+        `designed`, unchanged.
 
     Raises
     ------
     InputError
-        A value is not allowed, as in `require_manifest`. Grades are not checked, because Sobol samples have none.
+        A value is not allowed, as in `require_manifest`. Grades are not checked, because Sobol samples have no grade.
     """
     for name, table in (
         ("response_curves", designed.response_curves),
@@ -140,7 +140,7 @@ def require_designed(designed: DesignedManifests) -> DesignedManifests:
 def require_unique_files(manifest: pd.DataFrame, table_name: str = "manifest") -> None:
     """Check that no two rows have the same file path or file content.
 
-    A file in two rows could be in both training and test, or be its own repeat.
+    A file in two rows could be in both the training and the test set, or serve as its own repeat radiograph.
 
     Parameters
     ----------
@@ -160,6 +160,6 @@ def require_unique_files(manifest: pd.DataFrame, table_name: str = "manifest") -
             first = manifest[column][again].iloc[0]
             one, other = manifest["radiograph"][manifest[column] == first].head(2)
             raise InputError(
-                f"{table_name}: radiographs {one} and {other} must have files of their own, "
+                f"{table_name}: radiographs {one} and {other} must have different files, "
                 f"got the same {column} = {str(first)[:40]}"
             )

@@ -1,4 +1,4 @@
-"""Patient radiographs used as an external test set beside a cohort."""
+"""Patient radiographs used as an external test set of a study."""
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -7,38 +7,37 @@ from typing import Any
 from ...core.checks import InputError, require_in_range
 from ...io.patients.patient_radiographs import Film, FilmImage
 
-# Allowed side of a region, in mm. A smaller region shows the joint space of a compartment but little bone.
+# Allowed side length of a region, in mm. A smaller region shows the joint space of a compartment but little bone.
 REGION_RANGE_MM = (20.0, 200.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FilmSet:
-    """Patient radiographs and how the models tested on them are trained.
+    """Patient radiographs and settings of the models that are tested on them.
 
     Parameters
     ----------
     films : tuple of Film
-        Patient radiographs, each file once.
+        Patient radiographs; each file is listed once.
     load : callable
-        Function from `Film.file` to the patient radiograph as displayed (FilmImage). It must be picklable for more than
-        one worker.
+        Function that loads a patient radiograph, as displayed, from its `Film.file`. It must be picklable if there is
+        more than one worker.
     load_cohort : callable
-        Function from an entry of the manifest's column ``file`` to that radiograph as a FilmImage, displayed like a
-        patient radiograph.
+        Function that loads a cohort radiograph, displayed like a patient radiograph, from an entry of the manifest's
+        column ``file``.
     protocol : str
-        Protocol of the cohort that the models are trained on; choose one similar to the patients' protocol.
+        Protocol of the cohort radiographs used for training; choose one similar to the patients' protocol.
     pixel_mm : float, optional
-        Pixel pitch that all radiographs are resampled to, 0.02 to 20 mm. None uses the median pitch of the patient
-        radiographs, or the pitch of the protocol if that is coarser.
+        Pixel pitch to which all radiographs are resampled, 0.02 to 20 mm. None uses the median pitch of the patient
+        radiographs or the pitch of the protocol, whichever is larger.
     region_mm : float, optional
-        Side of the region, 20 to 200 mm. None uses the largest side that fits nine of ten patient radiographs, at most
-        the side in the study.
+        Side length of the region, 20 to 200 mm. None uses the largest side length that fits in 90 % of the patient
+        radiographs, but at most the side length in the study.
 
     Raises
     ------
     InputError
-        There is no patient radiograph, an entry is no `Film`, a file is listed twice, or a pitch or side is out of
-        range.
+        There is no patient radiograph, an entry is not a `Film`, a file is listed twice, or a number is out of range.
     """
 
     films: tuple[Film, ...]
@@ -50,7 +49,7 @@ class FilmSet:
 
     def __post_init__(self) -> None:
         if not self.films:
-            raise InputError(f"films must hold at least one patient radiograph, got {len(self.films)}")
+            raise InputError(f"films must contain at least one patient radiograph, got {len(self.films)}")
         if self.pixel_mm is not None:
             require_in_range("films' pixel_mm", self.pixel_mm, 0.02, 20, "mm")
         if self.region_mm is not None:
@@ -64,12 +63,12 @@ class FilmSet:
             files.add(film.file)
 
     def to_json_dict(self) -> dict[str, Any]:
-        """Convert everything that the results depend on to JSON types.
+        """Convert the fields that the results depend on to JSON types.
 
         Returns
         -------
         dict of str to Any
-            Patient radiographs, protocol, pixel pitch and side of the region.
+            Patient radiographs, protocol, pixel pitch and side length of the region.
         """
         films = [asdict(film) for film in self.films]
         chosen = {name: getattr(self, name) for name in ("protocol", "pixel_mm", "region_mm")}

@@ -1,8 +1,8 @@
 """Plans of response curves: knees imaged again while one protocol parameter is changed in steps.
 
-Each step has its own quantum noise. The agreement of a feature with the cohort's radiograph therefore includes the
-effect of noise at that step. An axis may also change coupled parameters, so that only the studied effect varies; see
-`PROTOCOL_AXES`.
+The quantum noise of each step is independent. The agreement between a feature at a step and the same feature in the
+cohort therefore includes the effect of noise. An axis may also change coupled parameters so that only the studied
+effect varies; see `PROTOCOL_AXES`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -24,7 +24,7 @@ from .classification_tasks import TASKS, select_contrast
 if TYPE_CHECKING:
     import pandas as pd
 
-# Key of the random stream below a knee's index; `cohort.cohort_plan` uses other keys.
+# Second key of the random stream, after the index of the knee; `cohort.cohort_plan` uses other keys.
 _CURVE_STREAM = 6
 # Radiographers halve the mAs for 15 % more kV (Bushong, Radiologic Science for Technologists; cited from memory).
 _KV_EXPONENT = np.log(2) / np.log(1.15)
@@ -32,20 +32,20 @@ _KV_EXPONENT = np.log(2) / np.log(1.15)
 
 @dataclass(frozen=True, kw_only=True)
 class DesignedManifests:
-    """Manifests of radiographs acquired by design; their columns ``kind`` and ``turn`` identify each radiograph.
+    """Manifests of designed radiographs; the columns ``kind`` and ``repeat_index`` identify each radiograph.
 
     Parameters
     ----------
     response_curves : DataFrame, optional
-        Radiographs of `plan_response_curves`.
+        Radiographs planned by `plan_response_curves`.
     sobol_samples : DataFrame, optional
-        Radiographs of `sensitivity_plan.plan_sobol_samples`.
+        Radiographs planned by `sensitivity_plan.plan_sobol_samples`.
     sobol_sample_count : int
         Number of samples N of the Sobol design.
     sensitivity_pairs : DataFrame, optional
-        Radiographs of `sensitivity_plan.plan_sensitivity_pairs`.
+        Radiographs planned by `sensitivity_plan.plan_sensitivity_pairs`.
     bounds : mapping of str to tuple of float
-        Lower and upper bound of each parameter, of `sensitivity_plan.compute_bounds`.
+        Lower and upper bound of each parameter, from `sensitivity_plan.compute_bounds`.
     """
 
     response_curves: "pd.DataFrame | None" = None
@@ -55,12 +55,12 @@ class DesignedManifests:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def list_manifests(self) -> "list[pd.DataFrame]":
-        """List the manifests that exist.
+        """List the manifests that are not None.
 
         Returns
         -------
         list of DataFrame
-            Manifests that are not None.
+            Manifests of designed radiographs.
         """
         return [
             table for table in (self.response_curves, self.sobol_samples, self.sensitivity_pairs) if table is not None
@@ -74,7 +74,7 @@ class ProtocolAxis:
     Parameters
     ----------
     label : str
-        Axis label in figures, including what a step is relative to.
+        Axis label in figures, with the unit or the reference of a step.
     field : str
         Field of `Protocol` that is varied.
     step_kind : str
@@ -84,7 +84,7 @@ class ProtocolAxis:
     scale : str
         "linear" or "log": scale of the axis in figures and of the interpolation between steps.
     coupled_fields : callable
-        Function of a protocol and its new value that returns the other fields to change with it.
+        Function of the protocol and the new value of `field`; it returns the values of the coupled fields.
     """
 
     label: str
@@ -100,7 +100,7 @@ class ProtocolAxis:
         return 1.0 if self.step_kind == "factor" else 0.0
 
     def vary(self, protocol: Protocol, step: float) -> Protocol:
-        """Return the protocol at a step.
+        """Change the protocol by one step.
 
         Parameters
         ----------
@@ -112,7 +112,7 @@ class ProtocolAxis:
         Returns
         -------
         Protocol
-            Protocol with the changed field and its coupled fields.
+            Protocol with the new values of the field and its coupled fields.
 
         Raises
         ------
@@ -135,16 +135,16 @@ def _hold_field_of_view(protocol: Protocol, pixel_mm: float) -> dict[str, Any]:
 
 
 def _hold_detector_kerma(protocol: Protocol, sdd_mm: float) -> dict[str, Any]:
-    """Compute the source-object distance and mAs that keep the detector kerma constant at a new source distance.
+    """Compute the source-object distance and mAs that keep the detector kerma constant at a new SDD.
 
-    The object-detector distance stays the same.
+    SDD is the source-detector distance. The object-detector distance stays the same.
     """
     mas = round(protocol.mas * (sdd_mm / protocol.sdd_mm) ** 2, 4)
     return {"sod_mm": round(sdd_mm - (protocol.sdd_mm - protocol.sod_mm), 4), "mas": mas}
 
 
-# Axes with the same geometry come first, because their rays are traced once. The last axis rotates the leg, which
-# needs a new knee model.
+# Axes that do not change the geometry come first, because one ray casting serves all their steps. The last axis rotates
+# the leg, which needs a new knee model.
 PROTOCOL_AXES = {
     "dose": ProtocolAxis(
         label="dose (relative mAs)",
@@ -204,9 +204,9 @@ PROTOCOL_AXES = {
 def plan_response_curves(plan: Plan, *, knees: int, reference: str, axes: Sequence[str] = tuple(PROTOCOL_AXES)) -> Plan:
     """Plan radiographs of some knees at every step of every axis.
 
-    One knee per subject is used. Half of the knees have grade 0. The other half are split evenly over the other grades
-    of the contrast; see `classification_tasks.select_contrast`. The kind of an exposure is its axis, and its repeat
-    index is the number of the step, counted from 1.
+    One knee per subject is used. Half of the knees have grade 0. The other half is split evenly between the grades of
+    the second class of the task from `classification_tasks.select_contrast`. In an exposure, `retest_kind` is the name
+    of the axis and `repeat_index` is the number of the step, counted from 1.
 
     Parameters
     ----------
@@ -215,20 +215,20 @@ def plan_response_curves(plan: Plan, *, knees: int, reference: str, axes: Sequen
     knees : int
         Number of knees, at least 4. Fewer are planned if the cohort has too few subjects of a grade.
     reference : str
-        Protocol of the plan that is varied, as sampled for each knee.
+        Name of the protocol to vary. If acquisitions are sampled, each knee has its own version of the protocol.
     axes : sequence of str
-        Names of axes in `PROTOCOL_AXES`. Leaving one out does not change the noise of the others.
+        Names of axes in `PROTOCOL_AXES`. The noise of an axis does not depend on which axes are chosen.
 
     Returns
     -------
     Plan
-        Cases whose exposures are the steps.
+        Plan of the chosen knees, with one exposure per axis and step.
 
     Raises
     ------
     InputError
-        There are fewer than four knees, the plan lacks the protocol, a step is outside the range of its field, or the
-        grades allow no contrast.
+        There are fewer than four knees, or the plan does not contain the protocol. A step is outside the range of its
+        field, or the grades allow no two-class task.
     """
     require_integer("curve_knees", knees, 4, 100_000, "knees")
     present = {case.knee.grade for case in plan.cases if case.knee.grade is not None}
@@ -241,7 +241,7 @@ def plan_response_curves(plan: Plan, *, knees: int, reference: str, axes: Sequen
             free = sorted((first[one] for one in first.keys() - taken), key=lambda case: case.index)
             chosen += free[: (knees // len(classes) + place) // len(grades)]
     cases = [_plan_case(plan.seed, case, reference, axes) for case in sorted(chosen, key=lambda case: case.index)]
-    return Plan(preset=f"{plan.preset}, curves", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases))
+    return Plan(preset=f"{plan.preset}, response curves", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases))
 
 
 def _plan_case(seed: int, case: Case, reference: str, axes: Sequence[str]) -> Case:
@@ -250,7 +250,7 @@ def _plan_case(seed: int, case: Case, reference: str, axes: Sequence[str]) -> Ca
     if reference not in known:
         raise InputError(f"protocol must be one of {', '.join(known)}, got {reference!r}")
     root = np.random.SeedSequence(seed, spawn_key=(case.index, _CURVE_STREAM))
-    # Seeds are generated for all axes, so that leaving one out does not change the others.
+    # Seeds are generated for all axes, so the noise of an axis does not depend on which axes are chosen.
     states = iter(root.generate_state(sum(len(axis.steps) for axis in PROTOCOL_AXES.values()), np.uint64))
     exposures = []
     for name, axis in PROTOCOL_AXES.items():

@@ -1,7 +1,7 @@
 """Plans of radiographs for a sensitivity analysis over the parameters of knee and protocol.
 
 The module plans two designs. Sobol samples vary all parameters at once (Sobol 1993; Saltelli 2010). Sensitivity pairs
-change one parameter of a knee of the cohort and hold the noise, which gives a local slope.
+change one parameter of a cohort knee and keep the noise, which gives a local slope.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,28 +21,28 @@ from ...core.checks import Array, InputError, require_integer
 from ...model.knee import Knee, Osteophyte
 from ...model.protocol import Protocol
 
-# Smallest number of Sobol samples. With 64 samples the intervals cover at least 96 % of the indices of known functions
-# (tests/test_space.py). Samples can be decorrelated only if there are more of them than columns.
+# Smallest number of Sobol samples. With 64 samples, at least 96 % of the intervals contain the known index of a test
+# function (tests/test_sensitivity_analysis.py). Decorrelation needs more samples than columns.
 MIN_SAMPLES = 64
 # Number of seeds that a float between 0 and 1 can distinguish.
 _SEED_COUNT = 2**53
 # Smallest osteophyte, in mm; the same limit as in the model of a knee.
 _MIN_OSTEOPHYTE_MM = 0.2
-# Sites of osteophytes that are added to a knee without any.
+# Sites at which osteophytes are added to a knee without osteophytes.
 _DEFAULT_OSTEOPHYTE_SITES = ("medial_tibia", "medial_femur")
-# Percentiles of the cohort between which a parameter of a knee spans.
+# Percentiles of the cohort that are the bounds of a knee parameter.
 _PERCENTILES = (5.0, 95.0)
-# Step of a sensitivity pair, as a fraction of the span of the parameter.
+# Step of a sensitivity pair, as a fraction of the range between the bounds of the parameter.
 STEP_FRACTION = 0.1
-# Largest factor of the mAs between sites, dimensionless (assumed).
+# Largest ratio of the mAs at an imaging site to the reference mAs, dimensionless (assumed).
 _MAS = 2.0
-# Largest difference of the tube voltage between sites, in kV (assumed).
+# Largest difference between the tube voltage at an imaging site and the reference, in kV (assumed).
 _KV = 5.0
-# Largest factor of the focal spot width between sites, dimensionless (assumed).
+# Largest ratio of the focal spot width at an imaging site to the reference width, dimensionless (assumed).
 _SPOT = 1.5
-# Largest difference of the beam tilt between sites, in degrees (assumed).
+# Largest difference between the beam tilt at an imaging site and the reference, in degrees (assumed).
 _TILT_DEG = 3.0
-# Group of parameters that holds the random seeds of trabeculae and quantum noise.
+# Parameter group of the random seeds of trabecular texture and quantum noise.
 NOISE_GROUP = "texture and noise"
 
 
@@ -71,7 +71,7 @@ class Parameter:
     Parameters
     ----------
     group : str
-        Group of parameters for which Sobol indices are computed.
+        Parameter group; Sobol indices are computed per group.
     label : str
         Label in tables. Labels of knee parameters are those of `statistics.analyses.knee_parameters.PARAMETERS`.
     read_value : callable
@@ -92,7 +92,7 @@ def _replace_anatomy(knee: Knee, **fields: Any) -> Knee:
 
 
 def _make_knee_parameter(group: str, label: str, name: str) -> Parameter:
-    """Make the parameter of a field of `Knee`."""
+    """Make a parameter that reads and sets one field of `Knee`."""
 
     def changed(taken: KneeAcquisition, value: float) -> KneeAcquisition:
         """Set the field of the knee, rounded to four decimals."""
@@ -103,7 +103,7 @@ def _make_knee_parameter(group: str, label: str, name: str) -> Parameter:
 
 
 def _make_protocol_parameter(group: str, label: str, name: str) -> Parameter:
-    """Make the parameter of a field of `Protocol`."""
+    """Make a parameter that reads and sets one field of `Protocol`."""
 
     def changed(taken: KneeAcquisition, value: float) -> KneeAcquisition:
         """Set the field of the protocol, rounded to six decimals."""
@@ -114,12 +114,12 @@ def _make_protocol_parameter(group: str, label: str, name: str) -> Parameter:
 
 
 def _largest_osteophyte_mm(acquisition: KneeAcquisition) -> float:
-    """Find the size of the largest osteophyte, in mm; 0 if there is none."""
+    """Find the size of the largest osteophyte, in mm; 0 without osteophytes."""
     return max((one.size_mm for one in acquisition.knee.osteophytes), default=0.0)
 
 
 def _scale_osteophytes(acquisition: KneeAcquisition, size_mm: float) -> KneeAcquisition:
-    """Scale all osteophytes by one factor so that the largest has the given size.
+    """Scale all osteophytes by the same factor so that the largest has the given size.
 
     A knee without osteophytes gets two at its medial margin.
     """
@@ -167,24 +167,24 @@ def compute_bounds(plan: Plan, reference: str) -> dict[str, tuple[float, float]]
     """Compute the bounds of each parameter.
 
     Knee parameters span the 5th to 95th percentile of the knees of the plan. Protocol parameters span the assumed
-    differences between sites. Parameters that are the same in all knees are left out.
+    differences between imaging sites. Parameters with the same value in all knees are omitted.
 
     Parameters
     ----------
     plan : Plan
         Plan of the cohort.
     reference : str
-        Protocol of the plan whose values are the centre.
+        Name of the protocol; its median values are the centre of the protocol bounds.
 
     Returns
     -------
     dict of str to tuple of float
-        Lower and upper bound of each parameter, in its own unit.
+        Lower and upper bound of each parameter, in the unit of the parameter.
 
     Raises
     ------
     InputError
-        The plan lacks the protocol.
+        The plan does not contain the protocol.
     """
     taken = [_find_acquisition(case, reference) for case in plan.cases]
     middle = {
@@ -199,7 +199,7 @@ def compute_bounds(plan: Plan, reference: str) -> dict[str, tuple[float, float]]
     bounds["focal_spot_mm"] = (middle["focal_spot_mm"] / _SPOT, middle["focal_spot_mm"] * _SPOT)
     bounds["beam_angle_deg"] = (middle["beam_angle_deg"] - _TILT_DEG, middle["beam_angle_deg"] + _TILT_DEG)
     bounds["chance"] = (0.0, 1.0)
-    # A parameter that is the same in all knees has no span and is left out.
+    # A parameter that is the same in all knees has equal bounds and is omitted.
     return {name: (low, high) for name, (low, high) in bounds.items() if high > low}
 
 
@@ -209,7 +209,7 @@ def build_salib_problem(bounds: Mapping[str, tuple[float, float]]) -> dict[str, 
     Parameters
     ----------
     bounds : mapping of str to tuple of float
-        Bounds of `compute_bounds`.
+        Bounds from `compute_bounds`.
 
     Returns
     -------
@@ -227,18 +227,19 @@ def build_salib_problem(bounds: Mapping[str, tuple[float, float]]) -> dict[str, 
 def sample_parameters(bounds: Mapping[str, tuple[float, float]], samples: int, seed: int) -> Array:
     """Sample the points of a Sobol design in the row order that SALib expects.
 
-    Two decorrelated Latin hypercubes A and B are sampled. Each sample gives a row of A, one row per group with that
-    group's columns from B, and a row of B. Points of Sobol's sequence are not used: with 64 points some of these
-    columns correlate by 0.75 under any scrambling, and intervals cover only 89 %.
+    Two decorrelated Latin hypercubes A and B are sampled. Each sample gives a row of A, mixed rows, and a row
+    of B. There is one mixed row per group: the columns of the group are from B, the other columns from A. Sobol's
+    sequence is not used: with 64 points some columns have a correlation of 0.75 under any scrambling. The 95 %
+    intervals then contain only 89 % of the known indices.
 
     Parameters
     ----------
     bounds : mapping of str to tuple of float
-        Bounds of `compute_bounds`.
+        Bounds from `compute_bounds`.
     samples : int
-        Number of samples N.
+        Number of samples N of the design.
     seed : int
-        Seed of the sampling.
+        Seed of the Latin hypercube sampling.
 
     Returns
     -------
@@ -270,8 +271,8 @@ def _decorrelate(unit_samples: Array) -> Array:
 def plan_sobol_samples(plan: Plan, *, samples: int, reference: str) -> Plan:
     """Plan the radiographs of a Sobol design.
 
-    Everything outside the design is taken from the first knee of the plan. The kind of an exposure is "share", and its
-    repeat index is the row of the design, counted from 1.
+    All other parameters are those of the first knee of the plan. In an exposure, `retest_kind` is "sobol" and
+    `repeat_index` is the row of the design, counted from 1.
 
     Parameters
     ----------
@@ -280,17 +281,17 @@ def plan_sobol_samples(plan: Plan, *, samples: int, reference: str) -> Plan:
     samples : int
         Number of samples N, at least `MIN_SAMPLES`.
     reference : str
-        Protocol of the plan that is the centre of the design.
+        Name of the protocol at the centre of the design.
 
     Returns
     -------
     Plan
-        One case per distinct knee.
+        Plan with one case per distinct knee.
 
     Raises
     ------
     InputError
-        There are too few samples, or the plan lacks the protocol.
+        There are too few samples, or the plan does not contain the protocol.
     """
     require_integer("sobol_samples", samples, MIN_SAMPLES, 2**16, "samples")
     first = _find_acquisition(plan.cases[0], reference)
@@ -305,26 +306,26 @@ def plan_sobol_samples(plan: Plan, *, samples: int, reference: str) -> Plan:
     for index, (knee, rows) in enumerate(at.items()):
         exposures = [
             Exposure(
-                f"share{row:06d}",
+                f"sobol{row:06d}",
                 taken.protocol,
                 taken.seed,
-                retest_kind="share",
+                retest_kind="sobol",
                 repeat_index=row,
                 source_knee=plan.cases[0].index,
             )
             for row, taken in rows
         ]
         cases.append(replace(plan.cases[0], subject=index, index=index, knee=knee, exposures=tuple(exposures)))
-    return Plan(preset=f"{plan.preset}, shares", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases))
+    return Plan(preset=f"{plan.preset}, Sobol samples", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases))
 
 
 def plan_sensitivity_pairs(
     plan: Plan, *, knees: int, reference: str, parameters: Sequence[str] = SLOPE_PARAMETERS
 ) -> Plan:
-    """Plan a second radiograph of some knees for each parameter, with that parameter raised by a tenth of its span.
+    """Plan a second radiograph of some knees for each parameter, with that parameter increased by a tenth of its range.
 
-    The noise is held. Knees are chosen from each grade in turn. The kind of an exposure is the parameter. If the raised
-    value is not allowed, the parameter is lowered instead.
+    The noise seed stays the same. Knees are chosen from each grade in turn. In an exposure, `retest_kind` is the name
+    of the parameter. If the increased value is not allowed, the parameter is decreased instead.
 
     Parameters
     ----------
@@ -333,19 +334,19 @@ def plan_sensitivity_pairs(
     knees : int
         Number of knees, at least 2.
     reference : str
-        Protocol of the plan under which the knees are imaged.
+        Name of the protocol under which the knees are imaged.
     parameters : sequence of str
         Names of parameters in `PARAMETER_SPACE`.
 
     Returns
     -------
     Plan
-        One case per knee and distinct anatomy.
+        Plan with one case per cohort knee and distinct anatomy.
 
     Raises
     ------
     InputError
-        There are fewer than two knees, or the plan lacks the protocol.
+        There are fewer than two knees, or the plan does not contain the protocol.
     """
     require_integer("sensitivity_knees", knees, 2, 100_000, "knees")
     bounds = compute_bounds(plan, reference)
@@ -367,7 +368,7 @@ def plan_sensitivity_pairs(
                     )
                 )
             cases.append(replace(case, index=len(cases), knee=knee, exposures=tuple(exposures)))
-    return Plan(preset=f"{plan.preset}, pairs", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases))
+    return Plan(preset=f"{plan.preset}, sensitivity pairs", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases))
 
 
 def interleave_grades(plan: Plan) -> list[Case]:
@@ -392,7 +393,7 @@ def interleave_grades(plan: Plan) -> list[Case]:
 
 
 def _step_parameter(acquisition: KneeAcquisition, parameter: Parameter, step: float) -> KneeAcquisition:
-    """Raise a parameter by a step, or lower it if the raised value is not allowed."""
+    """Increase a parameter by a step, or decrease it if the increased value is not allowed."""
     try:
         return parameter.set_value(acquisition, parameter.read_value(acquisition) + step)
     except InputError:

@@ -1,4 +1,4 @@
-"""Settings of a study: everything besides the cohort that the results depend on."""
+"""Settings of features, models and statistics in a study."""
 
 from dataclasses import dataclass, field
 
@@ -19,12 +19,12 @@ MODELS = {"lr": "Logistic regression", "rf": "Random forest", "xgb": "XGBoost"}
 
 @dataclass(frozen=True, kw_only=True)
 class StudySettings:
-    """Everything besides the cohort that the results depend on.
+    """All settings that the results of a study depend on, except those of the cohort.
 
     Parameters
     ----------
     region_px : int
-        Side of the region at the medial joint line, 16 to 4096 px.
+        Side length of the region at the medial joint line, 16 to 4096 px.
     bins : int
         Number of grey-level bins of the texture features, 8 to 256.
     repeats : int
@@ -39,7 +39,7 @@ class StudySettings:
     replicates : int
         Number of bootstrap samples of subjects for trends, ICCs and patient radiographs, 100 to 100000.
     families : tuple of str
-        Feature families to measure; a family that is left out costs no time.
+        Feature families to measure; other families are not computed.
     selections : tuple of str
         Feature selections, from `SELECTIONS`.
     models : tuple of str
@@ -48,7 +48,7 @@ class StudySettings:
         Difference of AUC for which the power is computed, 0.001 to 0.5.
     strengths : tuple of float
         Strengths of the association between a confounder and the grade, 0 to 0.95. Strength 0 is required, because the
-        others are compared with it.
+        other strengths are compared with it.
     reference : str
         Protocol of the within-protocol scenario and reference of the pairwise ICCs.
     backend : str
@@ -57,7 +57,7 @@ class StudySettings:
     Raises
     ------
     InputError
-        A value is out of range, unknown or given twice.
+        A value is out of range or unknown, or a list contains a value twice.
     """
 
     region_px: int = 512
@@ -94,7 +94,7 @@ class StudySettings:
         for name, allowed in (("families", FAMILIES), ("selections", SELECTIONS), ("models", MODELS)):
             given = getattr(self, name)
             if not given:
-                raise InputError(f"{name} must hold at least one of {', '.join(allowed)}, got none")
+                raise InputError(f"{name} must contain at least one of {', '.join(allowed)}, got none")
             for choice in given:
                 require_choice(name, choice, tuple(allowed))
             if len(set(given)) < len(given):

@@ -1,4 +1,4 @@
-"""Data tables of the package that a study reads; they are loaded once and passed on in its context."""
+"""Data tables of the package that a study reads; they are loaded once and kept in the study context."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -58,7 +58,7 @@ def resolve_sampling_laws(manifest: pd.DataFrame) -> KneeDistributions | None:
     Returns
     -------
     KneeDistributions or None
-        Distributions; None if the manifest does not name exactly one table, or its file is missing.
+        Distributions; None if the manifest does not name exactly one table, or the file of the table is missing.
     """
     names = set(manifest["grade_table"]) if "grade_table" in manifest else set()
     if len(names) != 1:

@@ -1,7 +1,7 @@
 """Baselines on the fixed splits of a benchmark data set: true and measured JSW, radiomics, and a small network.
 
-All baselines are trained on one protocol. Those that read the image are also tested under every other protocol. JSW is
-a property of the knee and not of the image, so its baselines are tested once.
+All baselines are trained on one protocol. Radiomics and the network are also tested under every other protocol. JSW is
+a property of the knee, so the JSW baselines are tested once.
 """
 
 from collections.abc import Callable, Mapping
@@ -31,10 +31,10 @@ from .models.classifiers import FittedModel
 from .models.small_network import PYTORCH_MISSING, is_pytorch_installed, train_network
 from .subject_split import PARTS, derive_split_seed, split_subjects
 
-# Baselines by name, with their labels.
+# Baseline -> label.
 PREDICTORS = {"jsw": "True JSW", "measured": "Measured JSW", "radiomics": "Radiomics", "cnn": "Small CNN"}
 BENCHMARK_TASKS = ("0 vs 2", "0 vs 3+4", "0/1/2/3/4")
-# Baselines that do not read the image.
+# Baselines that use properties of the knee and not the image.
 _KNEE_PREDICTORS = ("jsw", "measured")
 
 # Function from a table of knees to the probability of each class.
@@ -43,17 +43,17 @@ Model = Callable[[pd.DataFrame], NDArray[np.float64]]
 
 @dataclass(frozen=True)
 class BenchmarkData:
-    """Tables and images that the baselines are trained on.
+    """Tables and images for training and testing the baselines.
 
     Parameters
     ----------
     predictor_tables : mapping of str to DataFrame
-        Table of `incremental_value.build_predictor_table` of each protocol; the first protocol is the training
+        Table from `incremental_value.build_predictor_table` for each protocol; the first protocol is the training
         protocol.
     names : list of str
         Names of the features.
     images : mapping of str to (size, size) float32 array, optional
-        Image of each radiograph, of `small_network.make_network_input`, dimensionless. None trains no network.
+        Image of each radiograph, from `small_network.make_network_input`, dimensionless. None: no network is trained.
     """
 
     predictor_tables: Mapping[str, pd.DataFrame]
@@ -77,11 +77,11 @@ def build_benchmark_data(
     names : list of str
         Names of the features.
     parameters : DataFrame
-        Knee parameters, of `statistics.analyses.knee_parameters.extract_knee_parameters`.
+        Knee parameters, from `statistics.analyses.knee_parameters.extract_knee_parameters`.
     settings : StudySettings
         Settings; their reference protocol is the training protocol.
     images : mapping of str to (size, size) float32 array, dimensionless, optional
-        Image of each radiograph, of `small_network.make_network_input`. None trains no network.
+        Image of each radiograph, from `small_network.make_network_input`. None: no network is trained.
 
     Returns
     -------
@@ -95,7 +95,8 @@ def build_benchmark_data(
     """
     if not (usable["protocol"] == settings.reference).any():
         raise InputError(
-            f"at least one region must be located under {settings.reference}, got 0: models are trained on its images"
+            f"at least one region must be located under {settings.reference}, got 0: "
+            "models are trained on images of this protocol"
         )
     known = {}
     for protocol in list_protocols(usable, settings.reference):
@@ -113,12 +114,12 @@ def make_splits(manifest: pd.DataFrame, settings: StudySettings) -> pd.DataFrame
     manifest : DataFrame
         One row per radiograph: subject and grade.
     settings : StudySettings
-        Seed and number of splits.
+        Settings of the study; seed and number of splits are used.
 
     Returns
     -------
     DataFrame
-        Columns repeat, subject and part.
+        Columns repeat, subject and part (training, validation or test).
 
     Raises
     ------
@@ -142,7 +143,7 @@ def predict_baselines(
     films : BenchmarkData
         Tables and images of the data set.
     splits : DataFrame
-        Splits of `make_splits`.
+        Splits from `make_splits`.
     settings : StudySettings
         Settings of models and splits.
     execution : Execution
@@ -156,7 +157,7 @@ def predict_baselines(
     Raises
     ------
     InputError
-        No split has the grades of a task, or a worker runs other code.
+        No split has the grades of a task, or a worker runs another version of the code.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -166,7 +167,8 @@ def predict_baselines(
     if predictions.empty:
         grades = sorted({int(grade) for table in films.predictor_tables.values() for grade in table["grade"]})
         raise InputError(
-            f"grades with a located region must be those of one of {', '.join(BENCHMARK_TASKS)}, got {grades}"
+            "grades with a located region must include all grades of one task among "
+            f"{', '.join(BENCHMARK_TASKS)}, got {grades}"
         )
     return predictions
 
@@ -177,7 +179,7 @@ def explain_missing_network() -> str:
     Returns
     -------
     str
-        Reason; "" if PyTorch is installed.
+        Reason why no network is trained; "" if PyTorch is installed.
     """
     return "" if is_pytorch_installed() else PYTORCH_MISSING
 
@@ -190,20 +192,20 @@ def predict_baselines_split(
     Parameters
     ----------
     repeat : int
-        Number of the split.
+        Index of the split, counted from 0.
     films : BenchmarkData
         Tables and images of the data set.
     splits : DataFrame
-        Splits of `make_splits`.
+        Splits from `make_splits`.
     settings : StudySettings
         Settings of models and splits.
     code : mapping of str to str
-        Hashes of the code where the run started.
+        Code hashes in the process that started the run.
 
     Returns
     -------
     list of dict
-        Rows of `predict_baselines`.
+        Rows of the table that `predict_baselines` returns.
 
     Raises
     ------
@@ -243,13 +245,13 @@ def _fit_models(
     settings: StudySettings,
     seed: int,
 ) -> dict[str, Model]:
-    """Fit every baseline; return a function by name that predicts probabilities (rows, classes) of a table."""
+    """Fit every baseline; return functions from a table to its class probabilities (rows, classes), by name."""
     truths = [_find_truth(part, classes) for part in (training, validation)]
     models: dict[str, Model] = {}
-    for name, rung in find_predictor_sets(training, films.names).items():
+    for name, predictor_set in find_predictor_sets(training, films.names).items():
         if name in PREDICTORS:
-            fitted = fit_predictor_set(rung, (training, truths[0]), (validation, truths[1]), settings, seed)
-            models[name] = partial(_predict_probabilities, fitted, rung)
+            fitted = fit_predictor_set(predictor_set, (training, truths[0]), (validation, truths[1]), settings, seed)
+            models[name] = partial(_predict_probabilities, fitted, predictor_set)
     if films.images is not None:
         shown = [
             (_stack_images(films, part), truth) for part, truth in zip((training, validation), truths, strict=True)
@@ -273,14 +275,14 @@ def _stack_images(films: BenchmarkData, table: pd.DataFrame) -> NDArray[np.float
 
 
 def _find_truth(table: pd.DataFrame, classes: Classes) -> NDArray[np.int64]:
-    """Find the class index (rows,) of each row of a table."""
+    """Find the class index of each row of a table, as a (rows,) array."""
     return find_class_indices(table["grade"].to_numpy(), classes)
 
 
 def _build_prediction_rows(
     test: pd.DataFrame, classes: Classes, probability: NDArray[np.float64], arm: dict[str, Any]
 ) -> list[dict[str, Any]]:
-    """Build the prediction rows of one arm."""
+    """Build the prediction rows of one combination of task, protocols and baseline."""
     whose = test[["radiograph", "knee", "subject"]].to_dict("records")
     return [
         {**arm, **one, "truth": int(truth), **{f"p{k}": float(p) for k, p in enumerate(of_one)}}

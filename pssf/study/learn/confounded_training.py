@@ -1,9 +1,10 @@
-"""Confounding by design: models trained where age, BMI or site is associated with grade by a chosen strength.
+"""Training on data in which age, BMI or imaging site is associated with grade by a chosen strength.
 
 At strength s, a fraction (1 + s)/2 of the training subjects of grade 2 is above the median age or BMI. The same
-fraction of grade 0 is below it. Subjects are left out until this holds; their number does not depend on s. For the
-site, that fraction of grade 2 is imaged under the second protocol, and that of grade 0 under the reference. Test
-subjects are weighted, so that level and grade are associated as in training, or not at all.
+fraction of grade 0 is below the median. Subsampling of the subjects sets these fractions; the number of remaining
+subjects does not depend on s. For the imaging site, a fraction (1 + s)/2 of grade 2 is imaged under the second
+protocol. The same fraction of grade 0 is imaged under the reference protocol. Test subjects are weighted so that
+confounder and grade are associated as in training, or not at all.
 """
 
 from dataclasses import dataclass
@@ -26,28 +27,28 @@ from .models.classifiers import tune_classifier
 from .models.feature_selection import build_feature_pipeline
 from .subject_split import derive_split_seed, split_subjects
 
-# Confounders by column name, with their labels.
+# Confounder (column name) -> label.
 CONFOUNDERS = {"age_years": "age", "bmi": "BMI", "site": "site (protocol)"}
 CLASSES = TASKS["0 vs 2"]
 # Smallest number of training subjects per grade.
 _MIN_SUBJECTS_PER_GRADE = 4
-# Key of the random stream below a repeat; `incremental_value` and `response_curves` use other keys.
+# Second key of the random stream, after the index of the split; `incremental_value` and `response_curves` use others.
 _STREAM = 4
-_COLUMNS = ["repeat", "confounder", "strength", "model", "trained", "test_subjects", "tied", "untied"]
+_COLUMNS = ["repeat", "confounder", "strength", "model", "training_subjects", "test_subjects", "tied", "untied"]
 
 
 @dataclass(frozen=True)
 class ConfoundedSplit:
-    """Radiographs of one split, with the confounder in column ``c`` and its level in the boolean column ``high``.
+    """Radiographs of one split with the added columns ``c`` (confounder value) and ``high`` (level).
 
     Attributes
     ----------
     training : DataFrame
         Training radiographs, in which the confounder is associated with grade.
     validation : DataFrame
-        Validation radiographs with the same association.
+        Validation radiographs, in which the confounder is associated with grade as in training.
     test : DataFrame
-        Test radiographs: one per knee for age and BMI, one under each of the two protocols for the site.
+        Test radiographs. For age and BMI there is one per knee; for the site, one per knee and protocol.
     """
 
     training: pd.DataFrame
@@ -58,31 +59,31 @@ class ConfoundedSplit:
 def evaluate_confounding(
     radiographs: pd.DataFrame, names: list[str], confounders: list[str], settings: StudySettings, execution: Execution
 ) -> pd.DataFrame:
-    """Evaluate naive and adjusted models for grade 0 vs 2, with and without the association in the test subjects.
+    """Evaluate naive and adjusted models (grade 0 vs 2) on test subjects with and without the association.
 
     Parameters
     ----------
     radiographs : DataFrame
-        Radiographs with a located region: knee, subject, grade, protocol, features, and age_years and bmi if known.
+        Radiographs with a located region: knee, subject, grade, protocol, features; age_years and bmi if known.
     names : list of str
         Names of the features.
     confounders : list of str
         Confounders, from `CONFOUNDERS`.
     settings : StudySettings
-        Settings of models and splits; their strengths are used.
+        Settings of models and splits, with the strengths of the association.
     execution : Execution
         Workers, scheduler, timer and progress bar.
 
     Returns
     -------
     DataFrame
-        Columns: repeat, confounder, strength, model ("naive" or "adjusted"), trained, test_subjects, tied (AUC with the
-        association) and untied (AUC without it).
+        Columns: repeat, confounder, strength, model ("naive" or "adjusted"), training_subjects, test_subjects, tied
+        (AUC with the association) and untied (AUC without it).
 
     Raises
     ------
     InputError
-        A worker runs other code.
+        A worker runs another version of the code.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -106,9 +107,9 @@ def evaluate_confounding_split(
     Parameters
     ----------
     repeat : int
-        Number of the split.
+        Index of the split, counted from 0.
     known : DataFrame
-        Radiographs, as for `evaluate_confounding`.
+        Table of radiographs, as for `evaluate_confounding`.
     names : list of str
         Names of the features.
     confounders : list of str
@@ -116,12 +117,12 @@ def evaluate_confounding_split(
     settings : StudySettings
         Settings of models and splits.
     code : dict of str to str
-        Hashes of the code where the run started.
+        Code hashes in the process that started the run.
 
     Returns
     -------
     list of dict
-        Rows of `evaluate_confounding`.
+        Rows of the table that `evaluate_confounding` returns.
 
     Raises
     ------
@@ -135,7 +136,10 @@ def evaluate_confounding_split(
             tie = build_confounded_split(known, confounder, strength, settings, repeat)
             if tie is not None:
                 label = {"repeat": repeat, "confounder": confounder, "strength": strength}
-                label |= {"trained": tie.training["subject"].nunique(), "test_subjects": tie.test["subject"].nunique()}
+                label |= {
+                    "training_subjects": tie.training["subject"].nunique(),
+                    "test_subjects": tie.test["subject"].nunique(),
+                }
                 rows += [label | scores for scores in _score_models(tie, names, strength, settings, repeat)]
     return rows
 
@@ -148,15 +152,15 @@ def build_confounded_split(
     Parameters
     ----------
     radiographs : DataFrame
-        Radiographs, as for `evaluate_confounding`.
+        Table of radiographs, as for `evaluate_confounding`.
     confounder : str
         Confounder, from `CONFOUNDERS`.
     strength : float
         Strength of the association, 0 to 0.95.
     settings : StudySettings
-        Settings of the splits.
+        Settings of the study; seed, reference protocol and strengths are used.
     repeat : int
-        Number of the split.
+        Index of the split, counted from 0.
 
     Returns
     -------
@@ -183,7 +187,7 @@ def build_confounded_split(
 
 
 def _is_matched(part: pd.DataFrame) -> NDArray[np.bool_]:
-    """Check for each radiograph (rows,) that its level is the one associated with its grade."""
+    """Check for each radiograph whether its confounder level is the one associated with its grade."""
     return np.asarray(part["high"].to_numpy(bool) == (part["grade"] == CLASSES[1][0]).to_numpy())
 
 
@@ -192,7 +196,7 @@ def _subsample_subjects(
 ) -> pd.DataFrame:
     """Subsample each grade so that a fraction (1 + strength)/2 of its subjects has the associated level.
 
-    The number of subjects is one that the strongest association allows as well.
+    The number of subjects is the largest that every strength allows.
     """
     subjects = pool.drop_duplicates("subject")
     cells = {
@@ -201,7 +205,7 @@ def _subsample_subjects(
     }
     grades = sum(CLASSES, ())
     counts = [len(cells.get((grade, side), ())) for grade in grades for side in (True, False)]
-    # The number of subjects is the same for all strengths, so that only the association differs.
+    # The number of subjects is the same for all strengths, so only the association differs.
     most = int(min(counts) * 2 / (1 + strongest))
     kept: list[Any] = []
     for grade in grades:
@@ -211,7 +215,7 @@ def _subsample_subjects(
 
 
 def _assign_sites(pool: pd.DataFrame, sites: list[str], strength: float, rng: np.random.Generator) -> pd.DataFrame:
-    """Choose one of two protocols for each subject."""
+    """Choose one of two protocols for each subject so that protocol and grade are associated."""
     parts = []
     for place, (grade,) in enumerate(CLASSES):
         part = pool[pool["grade"] == grade]
@@ -223,7 +227,7 @@ def _assign_sites(pool: pd.DataFrame, sites: list[str], strength: float, rng: np
 
 
 def _add_site_level(table: pd.DataFrame, sites: list[str]) -> pd.DataFrame:
-    """Add the confounder ``c`` and the level ``high`` of the site."""
+    """Add the columns ``c`` (1 for the second site, 0 for the first) and ``high`` (True for the second site)."""
     second = table["protocol"] == sites[1]
     return table.assign(c=second.astype(float), high=second)
 
@@ -253,7 +257,7 @@ def _score_models(
 
 
 def compute_cell_weights(part: pd.DataFrame, strength: float) -> Array:
-    """Compute weights that associate level and grade by the given strength, whatever the counts.
+    """Compute weights that give confounder level and grade an association of the given strength.
 
     Parameters
     ----------
@@ -265,7 +269,7 @@ def compute_cell_weights(part: pd.DataFrame, strength: float) -> Array:
     Returns
     -------
     (rows,) float array
-        Weight of each row, dimensionless; NaN if a combination of level and grade is missing.
+        Weight of each row, dimensionless; NaN if a combination of confounder level and grade is missing.
     """
     matched = _is_matched(part)
     sizes = part.groupby([part["grade"], matched])["subject"].transform("size").to_numpy(float)
@@ -275,7 +279,7 @@ def compute_cell_weights(part: pd.DataFrame, strength: float) -> Array:
 
 
 def fit_confounder_slopes(training: pd.DataFrame, names: list[str]) -> Array:
-    """Fit the slope of each feature on the confounder within a grade, by least squares.
+    """Fit the slope of each feature against the confounder by least squares, with one intercept per grade.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ from ...data.code_hash import compute_code_hashes
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
-# Parts of the package that the outcome of a split depends on.
+# Subpackages whose code affects the result of a split.
 CODE_PACKAGES = ("core", "radiomics", "study")
 
 
@@ -19,14 +19,15 @@ def map_splits(
 ) -> list[Result]:
     """Call a function for each job in parallel and return the results in order.
 
-    Every worker checks that it runs the same code as this process.
+    The called function checks that the worker runs the same code as this process.
 
     Parameters
     ----------
     function : callable
-        Function of a job, with the keywords of `shared` and ``code``. Other processes must be able to import it.
+        Function of a job; its keyword arguments are those in `shared` and ``code``. Workers must be able to import the
+        function.
     jobs : sequence
-        First argument of each call, such as the number of a split.
+        First argument of each call, such as the index of a split.
     shared : mapping of str to Any
         Keyword arguments of all calls.
     execution : Execution
@@ -37,12 +38,12 @@ def map_splits(
     Returns
     -------
     list
-        Result of each job.
+        Results in the order of the jobs.
 
     Raises
     ------
     InputError
-        A worker runs other code.
+        A worker runs another version of the code.
     WorkersLostError
         Worker processes are killed repeatedly.
     """

@@ -1,9 +1,10 @@
 """Highest AUC between grades that the parameters of sampled knees allow, without an image.
 
-No image model can know more of a knee than its parameters. The distributions of a grade table overlap, so the AUC has
-an upper limit. The estimate is the AUC of the better of two fits, a lower bound of that limit. The number of knees is
-large enough that twice as many give the same AUC within its interval. Trees also use the ends at which distributions
-are truncated: such a value reveals the grade, which hardly any image could show.
+A radiograph of a simulated knee cannot contain more information on the grade than the parameters of the knee. The
+distributions of a grade table overlap, so the AUC has an upper limit. The estimate is the higher AUC of two
+classifiers, which is a lower bound of this limit. With twice the default number of knees, the AUC stays within its
+interval. Boosted trees also use values at which a distribution is truncated; these values reveal the grade but are
+hardly visible in an image.
 """
 
 from collections.abc import Mapping, Sequence
@@ -25,15 +26,15 @@ from ...model.knee import OSTEOPHYTE_SITES, Knee
 from ...model.sampling.knee_sampling import KneeDistributions, sample_knees
 from ..statistics.scores.metrics import auc_with_interval
 
-# Default number of knees; with five grades a pair has 12,000. Boosted trees reach these AUCs for KL 0 vs 1 of the
-# population: 0.84 with 1,600 knees, 0.88 with 3,200, 0.89 with 6,400, and 0.897 with 12,000 and with 24,000. The
-# interval with 12,000 knees is +-0.006. Sampling takes half a minute.
+# Default number of knees; with five grades, a pair of grades has 12,000. For KL 0 vs 1 in grade table `population`,
+# the AUC of boosted trees is 0.84 with 1,600 knees, 0.88 with 3,200, 0.89 with 6,400, and 0.897 with 12,000 or 24,000.
+# The 95 % interval with 12,000 knees is +-0.006. Sampling takes half a minute.
 DEFAULT_KNEE_COUNT = 30_000
-# Folds of the cross-validation.
+# Number of folds of the cross-validation.
 _FOLDS = 5
-# Predictors of the known joint space widths.
+# Columns of the joint space widths.
 _JSW_COLUMNS = ("jsw_medial_mm", "jsw_lateral_mm", "jsw_least_mm")
-# Fields of `Knee` that are numbers and predict the grade.
+# Numeric fields of `Knee` used to predict the grade.
 _SCALAR_PARAMETERS = (
     "jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg", "flexion_deg", "rotation_deg", "bone_scale",
     "cortex_scale", "tibial_slope_deg", "lean_deg", "fibular_tip_mm", "insall_salvati", "patellar_shift_mm",
@@ -52,19 +53,19 @@ def estimate_separability(
     laws : KneeDistributions
         Distributions from which the knees are sampled.
     patient_auc : mapping of str to tuple of float
-        AUC and interval of patient radiographs, of `LandmarkReference.gap_alone_auc`.
+        AUC and its interval on patient radiographs, from `LandmarkReference.gap_alone_auc`.
     knees : int, default 30000
-        Number of knees, split evenly over the grades; at least ten per grade. Knee k is the same for every number.
+        Number of knees, the same per grade, at least ten per grade. Knee k does not depend on this number.
     seed : int, default 0
         Seed of sampling and fits.
 
     Returns
     -------
     DataFrame
-        One row per pair of grades, set of parameters and method. Columns: grades; known ("smaller JSW", "JSW" or "all
-        parameters"); how ("by rank", "logistic" or "boosted trees"); knees; auc, low and high (95 %, Hanley and McNeil
-        1982); people, people_low and people_high. The last three are the AUC of the smaller joint gap on patient
-        radiographs, NaN elsewhere.
+        One row per pair of grades, set of parameters and method. Columns: grades; parameters ("smaller JSW", "JSW" or
+        "all parameters"); method ("by rank", "logistic" or "boosted trees"); knees; auc, low and high (95 %, Hanley and
+        McNeil 1982); patient_auc, patient_auc_low and patient_auc_high. The last three are the AUC of the smaller joint
+        gap on patient radiographs; NaN in all rows except "smaller JSW".
 
     Raises
     ------
@@ -73,8 +74,8 @@ def estimate_separability(
 
     Notes
     -----
-    Fits are tested on held-out fifths, so the true limit is at least as high. Fits of far fewer knees than
-    `DEFAULT_KNEE_COUNT` give a much lower AUC.
+    The AUC is computed on the held-out folds of a cross-validation, so the true limit is at least as high. With far
+    fewer knees than `DEFAULT_KNEE_COUNT`, the AUC is much lower.
     """
     grades = laws.grades.grades
     require_integer("knees", knees, 2 * _FOLDS * len(grades), 1_000_000, "")
@@ -93,14 +94,14 @@ def estimate_separability(
 
 
 def build_parameter_table(knees: Sequence[Knee], modes: int) -> pd.DataFrame:
-    """Build a table of all numeric parameters of knees, except side, texture and grades.
+    """Build a table of all numeric knee parameters, without side, texture seed and grades.
 
     Parameters
     ----------
     knees : sequence of Knee
-        Knees to tabulate.
+        Knees, one per row of the table.
     modes : int
-        Number of shape modes; each is a column.
+        Number of modes of bone shape, each of which becomes a column.
 
     Returns
     -------
@@ -131,22 +132,26 @@ def _estimate_grade_pair(
     patient_auc: Mapping[str, Triple],
     seed: int,
 ) -> list[dict[str, Any]]:
-    """Estimate the AUC of one pair of grades by each set of parameters and each method."""
+    """Estimate the AUC between two grades with each set of parameters and each method."""
     label: dict[str, Any] = {"grades": f"{pair[0]} vs {pair[1]}"}
     least = -parameters["jsw_least_mm"].to_numpy()
-    people = patient_auc.get(f"kl{pair[1]}") if pair[0] == 0 else None
-    beside = dict(zip(("people", "people_low", "people_high"), people or (np.nan,) * 3, strict=True))
+    of_patients = patient_auc.get(f"kl{pair[1]}") if pair[0] == 0 else None
+    beside = dict(
+        zip(("patient_auc", "patient_auc_low", "patient_auc_high"), of_patients or (np.nan,) * 3, strict=True)
+    )
     nothing = dict.fromkeys(beside, float("nan"))
-    rows = [label | {"known": "smaller JSW", "how": "by rank"} | _estimate_auc(least, is_worse) | beside]
+    rows = [label | {"parameters": "smaller JSW", "method": "by rank"} | _estimate_auc(least, is_worse) | beside]
     for known, names in (("JSW", list(_JSW_COLUMNS)), ("all parameters", list(parameters))):
-        for how in ("logistic", "boosted trees"):
-            probability = _predict_held_out(parameters[names].to_numpy(), is_worse, how, seed)
-            rows.append(label | {"known": known, "how": how} | _estimate_auc(probability, is_worse) | nothing)
+        for method in ("logistic", "boosted trees"):
+            probability = _predict_held_out(parameters[names].to_numpy(), is_worse, method, seed)
+            rows.append(
+                label | {"parameters": known, "method": method} | _estimate_auc(probability, is_worse) | nothing
+            )
     return rows
 
 
 def _predict_held_out(values: Array, is_worse: NDArray[np.bool_], classifier: str, seed: int) -> Array:
-    """Predict the probability (rows,) of the higher grade by cross-validation."""
+    """Predict the probability of the higher grade by cross-validation, as a (rows,) array."""
     folds = StratifiedKFold(_FOLDS, shuffle=True, random_state=seed % 2**32)
     model = {
         "logistic": make_pipeline(StandardScaler(), LogisticRegression(max_iter=1000)),
@@ -154,7 +159,7 @@ def _predict_held_out(values: Array, is_worse: NDArray[np.bool_], classifier: st
             max_iter=150, learning_rate=0.06, max_leaf_nodes=8, random_state=seed % 2**32
         ),
     }[classifier]
-    # Fits of so few rows do not gain from threads, because the threads wait for each other.
+    # One thread is used because fits of few rows are not faster with several threads.
     with threadpool_limits(limits=1):
         return np.asarray(
             cross_val_predict(model, values, is_worse, cv=folds, method="predict_proba")[:, 1], np.float64

@@ -1,8 +1,8 @@
-"""Incremental value: AUC of predictor sets of true parameters, true and measured JSW, features, and both.
+"""Incremental value: AUC of predictor sets with true parameters, true or measured JSW, and features.
 
 Every predictor set is evaluated by logistic regression on the same splits, under the reference protocol, for grade 0
-against each other grade. The sets differ only in their columns. JSW columns that accompany features bypass feature
-selection, so that the result shows what the features add.
+against each other grade. The sets differ only in their columns. If a set has JSW and features, only the features are
+selected and JSW is always used; the difference to JSW alone is the incremental value of the features.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,10 +28,10 @@ from ..statistics.scores.tested_subjects import TEST_COUNT_COLUMNS, count_test_s
 from .each_split import map_splits
 from .models.classifiers import FittedModel, tune_classifier
 from .models.feature_selection import build_feature_pipeline
-from .protocol_scenarios import LabelledFeatures
+from .models.labelled_features import LabelledFeatures
 from .subject_split import Split, derive_split_seed, split_subjects
 
-# Predictor sets by name, with their labels.
+# Predictor set -> label.
 PREDICTOR_SETS = {
     "parameters": "all true parameters",
     "jsw": "true JSW",
@@ -40,17 +40,17 @@ PREDICTOR_SETS = {
     "texture": "measured JSW and texture",
     "both": "measured JSW and radiomics",
 }
-# Standard error of a JSW measured by software on semiflexed radiographs of one unit, in mm (Mazzuca 1999, J Rheumatol
-# 26, 1359; 174 knees radiographed twice). It includes repositioning.
+# Standard error of JSW measured by software on semiflexed radiographs of the same X-ray unit, in mm (Mazzuca 1999, J
+# Rheumatol 26, 1359; 174 knees radiographed twice). It includes the repositioning error.
 JSW_MEASUREMENT_SD_MM = 0.32
 _JSW_LOCATIONS = ("medial", "lateral", "least")
 _NOMINAL_JSW_COLUMNS = ("nominal_jsw_medial_mm", "nominal_jsw_lateral_mm")
 _TRUE, _MEASURED = (tuple(f"{kind}_{name}_mm" for name in _JSW_LOCATIONS) for kind in ("true", "measured"))
-# Key of the random stream of measurement errors, below the seed of the study.
+# Key of the random stream of measurement errors, after the seed of the study.
 _READING = 2**31 + 5
-# Key of the random stream of subsampling, below the seed of a split.
+# Key of the random stream of subsampling, after the seed of the study and the index of the split.
 _THINNING = 2
-_COLUMNS = ["grades", "rung", "repeat", "trained", *TEST_COUNT_COLUMNS, "auc"]
+_COLUMNS = ["grades", "predictor_set", "repeat", "training_subjects", *TEST_COUNT_COLUMNS, "auc"]
 
 
 @dataclass(frozen=True)
@@ -60,9 +60,9 @@ class SplitJob:
     Parameters
     ----------
     repeat : int
-        Number of the split.
+        Index of the split, counted from 0.
     training_fraction : float, default 1
-        Fraction of the training and validation subjects, above 0 to 1.
+        Fraction of the training and validation subjects, greater than 0 and at most 1.
     """
 
     repeat: int
@@ -76,7 +76,7 @@ class PredictorSet:
     Parameters
     ----------
     candidate_columns : tuple of str
-        Columns from which a feature selection chooses.
+        Columns among which the feature selection chooses.
     forced_columns : tuple of str
         Columns that are always used.
     """
@@ -91,12 +91,12 @@ class PredictorSet:
 
 
 class SelectWithForced(TransformerMixin, BaseEstimator):
-    """Transformer that selects among some columns and adds other columns, standardised, without selection.
+    """Transformer that selects features and adds forced columns, standardised, without selection.
 
     Parameters
     ----------
     selection_pipeline : Pipeline or None
-        Unfitted pipeline of `feature_selection.build_feature_pipeline`; None selects nothing.
+        Unfitted pipeline from `feature_selection.build_feature_pipeline`; None: only forced columns are used.
     forced_columns : sequence of str
         Names of the columns that bypass selection.
     """
@@ -106,7 +106,7 @@ class SelectWithForced(TransformerMixin, BaseEstimator):
         self.forced_columns = forced_columns
 
     def fit(self, X: pd.DataFrame, y: Any = None) -> "SelectWithForced":
-        """Fit the scaler of the forced columns and the selection of the others.
+        """Fit the scaler of the forced columns and the selection of the other columns.
 
         Parameters
         ----------
@@ -118,7 +118,7 @@ class SelectWithForced(TransformerMixin, BaseEstimator):
         Returns
         -------
         SelectWithForced
-            This object; ``kept_`` holds the names of the resulting columns.
+            Fitted transformer; ``kept_`` contains the names of the resulting columns.
         """
         self.scale_ = StandardScaler().fit(X[list(self.forced_columns)]) if self.forced_columns else None
         if self.selection_pipeline is not None:
@@ -133,12 +133,12 @@ class SelectWithForced(TransformerMixin, BaseEstimator):
         Parameters
         ----------
         X : DataFrame
-            Rows with all columns.
+            Rows to transform, with all columns.
 
         Returns
         -------
         DataFrame
-            Columns of ``kept_``.
+            Columns listed in ``kept_``.
         """
         parts = []
         if self.scale_ is not None:
@@ -154,7 +154,7 @@ def build_predictor_table(
 ) -> pd.DataFrame:
     """Build the table of all predictors under the reference protocol.
 
-    A measured JSW is the true JSW plus a measurement error, sampled for each knee and compartment independently.
+    Measured JSW is true JSW plus a measurement error, which is sampled independently per knee and compartment.
 
     Parameters
     ----------
@@ -163,9 +163,9 @@ def build_predictor_table(
     names : list of str
         Names of the features.
     parameters : DataFrame
-        Knee parameters, of `extract_knee_parameters`. Missing parameters and their predictor sets are left out.
+        Knee parameters, from `extract_knee_parameters`. Predictor sets with missing parameters are omitted.
     settings : StudySettings
-        Reference protocol and seed.
+        Settings of the study; reference protocol and seed are used.
 
     Returns
     -------
@@ -178,7 +178,7 @@ def build_predictor_table(
     if set(_NOMINAL_JSW_COLUMNS) <= set(known):
         true = known[list(_NOMINAL_JSW_COLUMNS)].to_numpy(np.float64)
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_READING,)))
-        # Errors are sampled for all knees in order, so that a missing radiograph does not change those of other knees.
+        # Errors are sampled for all knees in order, so a missing radiograph does not change the errors of other knees.
         places = np.searchsorted(np.sort(parameters["knee"].to_numpy()), known["knee"].to_numpy())
         read = true + JSW_MEASUREMENT_SD_MM * rng.standard_normal((len(parameters), 2))[places]
         for columns_of, values in ((_TRUE, true), (_MEASURED, read)):
@@ -187,12 +187,12 @@ def build_predictor_table(
 
 
 def find_predictor_sets(predictor_table: pd.DataFrame, names: list[str]) -> dict[str, PredictorSet]:
-    """Find the predictor sets whose columns a table has.
+    """Find the predictor sets whose columns are all in a table.
 
     Parameters
     ----------
     predictor_table : DataFrame
-        Table of `build_predictor_table`.
+        Table from `build_predictor_table`.
     names : list of str
         Names of the features.
 
@@ -204,7 +204,7 @@ def find_predictor_sets(predictor_table: pd.DataFrame, names: list[str]) -> dict
     columns = tuple(name for name in PARAMETERS if name in predictor_table)
     textures = tuple(name for name in names if feature_family(name) in TEXTURES)
     read = _MEASURED if set(_MEASURED) <= set(predictor_table) else ()
-    rungs = {
+    predictor_sets = {
         "parameters": PredictorSet((), (*columns, "true_least_mm")) if read else PredictorSet((), ()),
         "jsw": PredictorSet((), _TRUE if read else ()),
         "measured": PredictorSet((), read),
@@ -212,7 +212,11 @@ def find_predictor_sets(predictor_table: pd.DataFrame, names: list[str]) -> dict
         "texture": PredictorSet(textures, read) if read and textures else PredictorSet((), ()),
         "both": PredictorSet(tuple(names), read) if read else PredictorSet((), ()),
     }
-    return {name: rung for name, rung in rungs.items() if rung.candidate_columns or rung.forced_columns}
+    return {
+        name: predictor_set
+        for name, predictor_set in predictor_sets.items()
+        if predictor_set.candidate_columns or predictor_set.forced_columns
+    }
 
 
 def evaluate_predictor_sets(
@@ -227,13 +231,13 @@ def evaluate_predictor_sets(
 ) -> pd.DataFrame:
     """Compute the AUC of every predictor set on every split, trained on fractions of the training subjects.
 
-    With several fractions, the stage of the timer also gets the exponent of its time in the number of training
-    subjects.
+    With several fractions, the exponent of the power law between computing time and number of training subjects is
+    stored in the timer.
 
     Parameters
     ----------
     predictor_table : DataFrame
-        Table of `build_predictor_table`.
+        Table from `build_predictor_table`.
     names : list of str
         Names of the features.
     settings : StudySettings
@@ -241,31 +245,33 @@ def evaluate_predictor_sets(
     execution : Execution
         Workers, scheduler, timer and progress bar.
     training_fractions : sequence of float, default (1.0,)
-        Fractions of the training and validation subjects of each grade, at least two subjects. Smaller fractions are
-        subsets of larger ones, and the test subjects are the same for all.
+        Fractions of the training and validation subjects of each grade; at least two subjects per grade are used. A
+        smaller fraction is a subset of a larger one. The test subjects are the same for all fractions.
     predictor_set_names : sequence of str
-        Names in `PREDICTOR_SETS`; sets whose columns are missing are left out.
+        Names in `PREDICTOR_SETS`; sets whose columns are missing are omitted.
     stage : str
         Name of the stage in the timer.
 
     Returns
     -------
     DataFrame
-        Columns: grades (such as "0 vs 1"), rung (name of the predictor set), repeat, trained, `TEST_COUNT_COLUMNS`,
-        auc, share (training fraction).
+        Columns: grades (such as "0 vs 1"), predictor_set (name), repeat, training_subjects, `TEST_COUNT_COLUMNS`,
+        auc, training_fraction.
 
     Raises
     ------
     InputError
-        A grade has too few subjects, or a worker runs other code.
+        A grade has too few subjects, or a worker runs another version of the code.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
-    jobs = [SplitJob(repeat, share) for share in training_fractions for repeat in range(settings.repeats)]
+    jobs = [SplitJob(repeat, fraction) for fraction in training_fractions for repeat in range(settings.repeats)]
     chosen = {
-        name: rung for name, rung in find_predictor_sets(predictor_table, names).items() if name in predictor_set_names
+        name: predictor_set
+        for name, predictor_set in find_predictor_sets(predictor_table, names).items()
+        if name in predictor_set_names
     }
-    shared = {"known": predictor_table, "rungs": chosen, "settings": settings}
+    shared = {"known": predictor_table, "predictor_sets": chosen, "settings": settings}
     tables = map_splits(evaluate_predictor_sets_split, jobs, shared, execution, stage)
     timed = np.array(
         [(job.training_fraction, rows[0]["seconds"]) for job, rows in zip(jobs, tables, strict=True) if rows]
@@ -273,37 +279,41 @@ def evaluate_predictor_sets(
     if len(timed) and np.ptp(timed[:, 0]) > 0:
         learnt, seconds = np.log(timed).T
         execution.timer.stages[stage].time_exponent = float(np.polyfit(learnt, seconds, 1)[0])
-    rows = [row | {"share": job.training_fraction} for job, of_job in zip(jobs, tables, strict=True) for row in of_job]
-    return pd.DataFrame(rows, columns=[*_COLUMNS, "share"])
+    rows = [
+        row | {"training_fraction": job.training_fraction}
+        for job, of_job in zip(jobs, tables, strict=True)
+        for row in of_job
+    ]
+    return pd.DataFrame(rows, columns=[*_COLUMNS, "training_fraction"])
 
 
 def evaluate_predictor_sets_split(
     job: SplitJob,
     *,
     known: pd.DataFrame,
-    rungs: Mapping[str, PredictorSet],
+    predictor_sets: Mapping[str, PredictorSet],
     settings: StudySettings,
     code: Mapping[str, str],
 ) -> list[dict[str, Any]]:
-    """Compute the AUC of every predictor set for one job.
+    """Compute the AUC of every predictor set for one split and training fraction.
 
     Parameters
     ----------
     job : SplitJob
         Split and training fraction.
     known : DataFrame
-        Table of `build_predictor_table`.
-    rungs : mapping of str to PredictorSet
+        Table from `build_predictor_table`.
+    predictor_sets : mapping of str to PredictorSet
         Predictor sets by name.
     settings : StudySettings
         Settings of models and splits.
     code : mapping of str to str
-        Hashes of the code where the run started.
+        Code hashes in the process that started the run.
 
     Returns
     -------
     list of dict
-        Rows of `evaluate_predictor_sets`; ``seconds`` is the CPU time of the whole job, in s.
+        Rows of the table that `evaluate_predictor_sets` returns; ``seconds`` is the CPU time of the job, in s.
 
     Raises
     ------
@@ -320,11 +330,17 @@ def evaluate_predictor_sets_split(
     for grade in others:
         part = known[known["grade"].isin((first, grade))]
         training, validation, test = (part[part["subject"].isin(of)] for of in (*learnt, split.test))
-        label = {"grades": f"{first} vs {grade}", "repeat": job.repeat, "trained": training["subject"].nunique()}
+        label = {
+            "grades": f"{first} vs {grade}",
+            "repeat": job.repeat,
+            "training_subjects": training["subject"].nunique(),
+        }
         label |= count_test_subjects(test["subject"], test["grade"], (first, grade))
         if training["grade"].nunique() == test["grade"].nunique() == 2:
-            for name, value in _score_predictor_sets(training, validation, test, rungs, settings, seed, (first, grade)):
-                rows.append({**label, "rung": name, "auc": value})
+            for name, value in _score_predictor_sets(
+                training, validation, test, predictor_sets, settings, seed, (first, grade)
+            ):
+                rows.append({**label, "predictor_set": name, "auc": value})
     seconds = process_time() - began
     return [row | {"seconds": seconds} for row in rows]
 
@@ -337,7 +353,7 @@ def subsample_subjects(split: Split, predictor_table: pd.DataFrame, job: SplitJo
     split : Split
         Subjects of the split.
     predictor_table : DataFrame
-        Table with subject and grade.
+        Table with the columns subject and grade.
     job : SplitJob
         Split and training fraction.
     seed : int
@@ -346,7 +362,8 @@ def subsample_subjects(split: Split, predictor_table: pd.DataFrame, job: SplitJo
     Returns
     -------
     list of list
-        Training subjects and validation subjects: at least two per grade, the same first ones for every fraction.
+        Training subjects and validation subjects, at least two per grade. A smaller fraction is a subset of a larger
+        one.
     """
     if job.training_fraction >= 1:
         return [split.training.tolist(), split.validation.tolist()]
@@ -371,12 +388,12 @@ def _score_predictor_sets(
     seed: int,
     grades: tuple[int, int],
 ) -> Iterator[tuple[str, float]]:
-    """Yield the name and AUC of each predictor set; the AUC is NaN if a class is missing in the test part."""
+    """Yield the name and AUC of each predictor set; the AUC is NaN if a class has no test rows."""
     classes = tuple((grade,) for grade in grades)
     truths = [find_class_indices(part["grade"].to_numpy(), classes) for part in (training, validation, test)]
-    for name, rung in predictor_sets.items():
-        fitted = fit_predictor_set(rung, (training, truths[0]), (validation, truths[1]), settings, seed)
-        yield name, auc(truths[2] == 1, fitted.pipeline.predict_proba(test[rung.columns])[:, 1])
+    for name, predictor_set in predictor_sets.items():
+        fitted = fit_predictor_set(predictor_set, (training, truths[0]), (validation, truths[1]), settings, seed)
+        yield name, auc(truths[2] == 1, fitted.pipeline.predict_proba(test[predictor_set.columns])[:, 1])
 
 
 def fit_predictor_set(
@@ -386,7 +403,7 @@ def fit_predictor_set(
     settings: StudySettings,
     seed: int,
 ) -> FittedModel:
-    """Fit a logistic regression to a predictor set, with the first feature selection of the settings.
+    """Fit a logistic regression to a predictor set, with the first feature selection in the settings.
 
     Parameters
     ----------
@@ -397,14 +414,14 @@ def fit_predictor_set(
     validation : tuple of DataFrame and (rows,) int64 array
         Validation rows and their class index.
     settings : StudySettings
-        Settings of the selection.
+        Settings of the study; the settings of the feature selection are used.
     seed : int
         Seed of the fit.
 
     Returns
     -------
     FittedModel
-        Fitted model.
+        Fitted logistic regression with its feature selection.
     """
     prepare = None
     if predictor_set.candidate_columns:

@@ -1,8 +1,8 @@
-"""Scenarios within, across and over protocols: train models and test them on held-out subjects.
+"""Training and testing within one protocol, across protocols and on several protocols at once.
 
-Multi-protocol training has one radiograph of each knee per protocol, and therefore more radiographs. The scenario
-``mixed`` separates the effect of their number from that of the protocols. In it, each knee has one radiograph under
-one of the protocols, as many as within a protocol.
+Multi-protocol training has one radiograph per knee and protocol, so it has more training radiographs than training
+within one protocol. The scenario ``mixed`` separates the effect of this number from the effect of the protocols. It
+has one radiograph per knee, under one of the protocols.
 """
 
 from collections.abc import Iterator
@@ -19,25 +19,24 @@ from ..predictions import (
     NO_SELECTION,
     SplitOutcome,
     concatenate_tables,
-    find_class_indices,
 )
 from ..statistics.features.reliability import list_protocols
 from .models.classifiers import FittedModel, tune_classifier
 from .models.feature_selection import build_feature_pipeline
+from .models.labelled_features import make_labelled_features
 from .models.permutation_importance import compute_permutation_importance
 from .models.trivial_baselines import find_baselines
 from .protocol_transfer import find_stable_features, harmonise_features
 from .subject_split import derive_split_seed, split_subjects
 
-# Key of the random stream below a repeat; `incremental_value`, `response_curves` and `confounded_training` use others.
+# Second key of the random stream, after the index of the split. The modules `incremental_value`, `response_curves` and
+# `confounded_training` use other keys.
 _STREAM = 6
-# Features (rows, features) and class index (rows,).
-LabelledFeatures = tuple[pd.DataFrame, NDArray[np.int64]]
 
 
 @dataclass(frozen=True)
 class _TaskSplit:
-    """Radiographs of one task in the training, validation and test part of a split."""
+    """Training, validation and test radiographs of one task and split."""
 
     task: str
     classes: Classes
@@ -53,13 +52,13 @@ class _TrainingPlan:
     trained_on: str
     selection: str
     names: list[str]
-    models: dict[str, str]  # Classifier of each label.
+    models: dict[str, str]  # Label -> classifier.
     test_sets: list[tuple[str, str, pd.DataFrame]]
 
 
 @dataclass
 class _CollectedRows:
-    """Rows of the tables of `SplitOutcome`, collected over all trainings of a split."""
+    """Rows of the tables in `SplitOutcome`, collected over all trainings of a split."""
 
     predictions: list[pd.DataFrame] = field(default_factory=list)
     importances: list[dict[str, Any]] = field(default_factory=list)
@@ -69,14 +68,14 @@ class _CollectedRows:
 
 
 def evaluate_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: StudySettings) -> SplitOutcome:
-    """Train and test all tasks, scenarios, selections, classifiers and baselines on one split of the subjects.
+    """Train and test all tasks, scenarios, feature selections, classifiers and baselines on one split.
 
     Parameters
     ----------
     repeat : int
-        Number of the split.
+        Index of the split, counted from 0.
     table : DataFrame
-        One row per radiograph: radiograph, knee, subject, grade, protocol, features, and the columns of
+        One row per radiograph: radiograph, knee, subject, grade, protocol, features, and the columns from
         `trivial_baselines.find_baseline_columns`.
     names : list of str
         Names of the features.
@@ -123,7 +122,7 @@ def evaluate_split(repeat: int, *, table: pd.DataFrame, names: list[str], settin
 def _plan_trainings(
     parts: _TaskSplit, protocols: list[str], names: list[str], stable: list[str], settings: StudySettings
 ) -> Iterator[_TrainingPlan]:
-    """Yield everything that is fitted for one task and split."""
+    """Yield all training plans of one task and split."""
     reference, *others = protocols
     models = {name: name for name in settings.models}
     plain = [("cross", other, _select_protocol(parts.test, other)) for other in others]
@@ -153,7 +152,7 @@ def _run_training_plan(
         for part in (parts.training, parts.validation)
     )
     if set(fit_on[1]) != set(range(len(parts.classes))):
-        return  # No region of a class was located under this protocol.
+        return  # No region of a class was located under the training protocol.
     prepared = build_feature_pipeline(
         recipe.selection, rho=settings.rho, max_features=settings.most_features, seed=seed
     )
@@ -174,8 +173,8 @@ def _run_training_plan(
         gathered.tuning += [
             {**arm, "repeat": repeat, "parameter": name, "value": value} for name, value in fitted.parameters.items()
         ]
-        for feature, share in fitted.importance.items():
-            gathered.importances.append({**arm, "repeat": repeat, "feature": feature, "share": share})
+        for feature, importance in fitted.importance.items():
+            gathered.importances.append({**arm, "repeat": repeat, "feature": feature, "importance": importance})
         if scenario == "within" and len(parts.classes) == 2:
             drops = compute_permutation_importance(
                 fitted.pipeline, *make_labelled_features(rows, recipe.names, parts.classes), seed=seed
@@ -185,7 +184,7 @@ def _run_training_plan(
 
 
 def _select_protocol(table: pd.DataFrame, protocol: str) -> pd.DataFrame:
-    """Select the radiographs under a protocol; "all" selects all, "mixed" one per knee."""
+    """Select the radiographs under a protocol; "all" selects all protocols, "mixed" one radiograph per knee."""
     if protocol == "mixed":
         return table[table["mixed"]]
     return table if protocol == "all" else table[table["protocol"] == protocol]
@@ -210,30 +209,8 @@ def _harmonise_test_part(parts: _TaskSplit, names: list[str], protocol: str, ref
     return test.drop(columns=names).join(harmonise_features(test[names], of, onto))
 
 
-def make_labelled_features(table: pd.DataFrame, names: list[str], classes: Classes) -> LabelledFeatures:
-    """Extract the features and class indices of radiographs.
-
-    Parameters
-    ----------
-    table : DataFrame
-        Radiographs with grade and features.
-    names : list of str
-        Names of the features.
-    classes : tuple of tuple of int
-        Grades of each class.
-
-    Returns
-    -------
-    features : DataFrame
-        Features (rows, features).
-    truth : (rows,) int64 array
-        Class index of each row.
-    """
-    return table[names], find_class_indices(table["grade"].to_numpy(), classes)
-
-
 def _predict_test_sets(fitted: FittedModel, tested: pd.DataFrame, names: list[str], classes: Classes) -> pd.DataFrame:
-    """Predict all test sets of a plan, which are stacked in one table."""
+    """Predict the classes of all test sets of a plan, which are stacked in one table."""
     features, truth = make_labelled_features(tested, names, classes)
     probability = fitted.pipeline.predict_proba(features) if len(tested) else np.empty((0, len(classes)))
     labels = tested[["radiograph", "knee", "subject", "protocol", "scenario", "tested_on"]].assign(truth=truth)

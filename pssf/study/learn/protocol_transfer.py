@@ -1,7 +1,7 @@
-"""Methods that may help a model across protocols; they are fitted to training subjects and use no labels.
+"""Methods for transfer of a model to another protocol: stable features and harmonisation.
 
-Both methods use the training subjects' radiographs under the test protocol. They know the test protocol (they are
-transductive in it) but no test subject.
+Both methods are fitted to the training subjects, without grades, and use their radiographs under the test protocol. The
+methods are therefore transductive in the protocol, but they use no test subject.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ from ..statistics.features.reliability import (
 def find_stable_features(training: pd.DataFrame, names: list[str], protocols: list[str]) -> list[str]:
     """Find the features whose ICC(2,1) across the protocols is at least 0.90 in the training subjects.
 
-    Knees with a missing value of a feature under any protocol are left out of its ICC.
+    The ICC of a feature uses only knees with a value of the feature under every protocol.
 
     Parameters
     ----------
@@ -41,14 +41,14 @@ def find_stable_features(training: pd.DataFrame, names: list[str], protocols: li
 
 
 def harmonise_features(features: pd.DataFrame, source: pd.DataFrame, target: pd.DataFrame) -> pd.DataFrame:
-    """Shift and scale features so that the training features of one protocol get the mean and SD of another.
+    """Shift and scale features so that their training mean and SD match those under another protocol.
 
     Parameters
     ----------
     features : DataFrame
         Features (rows, features) of radiographs under one protocol.
     source : DataFrame
-        Features of the training subjects under the same protocol.
+        Features of the training subjects under the protocol of `features`.
     target : DataFrame
         Features of the training subjects under the protocol to match.
 
@@ -59,9 +59,9 @@ def harmonise_features(features: pd.DataFrame, source: pd.DataFrame, target: pd.
 
     Notes
     -----
-    This is ComBat (Johnson 2007) with a reference batch (Stein 2015) and without empirical Bayes. Empirical Bayes would
-    shrink the shifts of features towards each other; with a hundred knees per protocol there is little to shrink. No
-    covariate is kept: every knee is imaged under every protocol, so grade and protocol are orthogonal.
+    This is ComBat (Johnson 2007) with a reference batch (Stein 2015) and without empirical Bayes. Empirical Bayes
+    shrinks the shifts of features towards each other, which has little effect with a hundred knees per protocol. No
+    covariate is needed: every knee is imaged under every protocol, so grade and protocol are orthogonal.
     """
     factor = pd.Series(
         [
@@ -74,5 +74,5 @@ def harmonise_features(features: pd.DataFrame, source: pd.DataFrame, target: pd.
 
 
 def _compute_scale_factor(source: np.ndarray, target: np.ndarray) -> float:
-    """Compute the ratio of SDs; 1 for a feature that does not vary, whose ratio would be rounding error."""
+    """Compute the ratio of SDs; 1 for a constant feature, whose SD is only rounding error."""
     return 1.0 if is_degenerate(source) or is_degenerate(target) else float(target.std() / source.std())

@@ -1,4 +1,4 @@
-"""Predictions of a model for the same test knees at every step of a protocol parameter."""
+"""Model performance on the same test knees at every step of a protocol parameter."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -20,27 +20,37 @@ from .models.classifiers import tune_classifier
 from .models.feature_selection import build_feature_pipeline
 from .subject_split import derive_split_seed
 
-# Key of the random stream below a repeat; `incremental_value` uses another key.
+# Second key of the random stream, after the index of the split; `incremental_value` uses another key.
 _SPLIT_STREAM = 3
-# Fraction of the subjects outside the test part that validate.
+# Fraction of the subjects outside the test set that are used for validation.
 _VALIDATION_FRACTION = 0.15
-# Probabilities are clipped to this distance from 0 and 1, so that their log odds are finite.
+# Smallest distance of a probability from 0 and 1, dimensionless; clipping keeps the log odds finite.
 _MIN_PROBABILITY = 1e-6
-_COLUMNS = ["repeat", "axis", "turn", "trained", "curved", *TEST_COUNT_COLUMNS, "auc", "auc_own", "shift"]
+_COLUMNS = [
+    "repeat",
+    "axis",
+    "step_index",
+    "training_subjects",
+    "curved",
+    *TEST_COUNT_COLUMNS,
+    "auc",
+    "auc_own",
+    "shift",
+]
 
 
 @dataclass(frozen=True)
 class ResponseSplit:
-    """Subjects of one split for response curves; no subject is in two parts.
+    """Training, validation and test subjects of one split for response curves.
 
     Attributes
     ----------
     training : list
-        Subjects that models are fitted to.
+        Subjects to which models are fitted.
     validation : list
-        Subjects that choose the hyperparameters.
+        Subjects on which the hyperparameters are chosen.
     test : list
-        Subjects with response curves that are tested.
+        Test subjects, all of them with response curves.
     """
 
     training: list[Any]
@@ -51,7 +61,8 @@ class ResponseSplit:
 def split_curve_subjects(base: pd.DataFrame, curve_subjects: list[Any], seed: int, repeat: int) -> ResponseSplit:
     """Split the subjects for response curves.
 
-    Half of the subjects with response curves are tested. Of all other subjects, 15 % validate and the rest train.
+    Half of the subjects with response curves are test subjects. Of all other subjects, 15 % are used for validation and
+    the rest for training.
 
     Parameters
     ----------
@@ -62,12 +73,12 @@ def split_curve_subjects(base: pd.DataFrame, curve_subjects: list[Any], seed: in
     seed : int
         Seed of the study.
     repeat : int
-        Number of the split.
+        Index of the split, counted from 0.
 
     Returns
     -------
     ResponseSplit
-        Subjects of the three parts, sorted.
+        Training, validation and test subjects, each sorted.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(repeat, _SPLIT_STREAM)))
     worst = worst_grades(base["subject"], base["grade"])
@@ -86,17 +97,17 @@ def split_curve_subjects(base: pd.DataFrame, curve_subjects: list[Any], seed: in
 def evaluate_response_curves(
     base: pd.DataFrame, steps: pd.DataFrame, names: list[str], settings: StudySettings, execution: Execution
 ) -> pd.DataFrame:
-    """Evaluate a model of the reference protocol at every step, split by split.
+    """Evaluate a model trained on the reference protocol at every step of every axis, for each split.
 
-    The task is the contrast of the grades of the steps. The model is the first classifier with the first selection of
-    the settings, whatever its results.
+    The task is the one that `select_contrast` selects for the grades in `steps`. The model is the first classifier with
+    the first feature selection in the settings.
 
     Parameters
     ----------
     base : DataFrame
         Radiographs of the cohort under the reference protocol, with a located region: knee, subject, grade, features.
     steps : DataFrame
-        Radiographs along the axes, with a located region: knee, subject, grade, kind (axis), turn, features.
+        Radiographs along the axes, with a located region: knee, subject, grade, kind (axis), repeat_index, features.
     names : list of str
         Names of the features.
     settings : StudySettings
@@ -107,14 +118,14 @@ def evaluate_response_curves(
     Returns
     -------
     DataFrame
-        One row per split and step. Columns: repeat, axis, turn, trained, curved (subjects with curves, of whom half are
-        tested), `TEST_COUNT_COLUMNS`, auc, auc_own (same knees in the cohort) and shift. The shift is the mean change
-        of the log odds of the more severe class; a threshold would have to move by it.
+        One row per split and step. Columns: repeat, axis, step_index, training_subjects, curved (number of subjects
+        with response curves), `TEST_COUNT_COLUMNS`, auc, auc_own (AUC of the same knees in the cohort) and shift. The
+        shift is the mean change of the log odds of the more severe class from the cohort to the step.
 
     Raises
     ------
     InputError
-        A worker runs other code.
+        A worker runs another version of the code.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -135,14 +146,14 @@ def evaluate_response_split(
     classes: Classes,
     code: dict[str, str],
 ) -> list[dict[str, Any]]:
-    """Evaluate the model of one split at every step.
+    """Train the model on one split and evaluate it at every step of every axis.
 
     Parameters
     ----------
     repeat : int
-        Number of the split.
+        Index of the split, counted from 0.
     base : DataFrame
-        Radiographs of the cohort, as for `evaluate_response_curves`.
+        Cohort radiographs, as for `evaluate_response_curves`.
     steps : DataFrame
         Radiographs along the axes, as for `evaluate_response_curves`.
     names : list of str
@@ -152,12 +163,12 @@ def evaluate_response_split(
     classes : tuple of tuple of int
         Grades of the two classes.
     code : dict of str to str
-        Hashes of the code where the run started.
+        Code hashes in the process that started the run.
 
     Returns
     -------
     list of dict
-        Rows of `evaluate_response_curves`; empty if a class is missing in training.
+        Rows of the table that `evaluate_response_curves` returns; empty if a class is missing in training.
 
     Raises
     ------
@@ -188,10 +199,10 @@ def evaluate_response_split(
 
     own = odds(test)
     rows = []
-    for (axis, turn), part in steps[steps["knee"].isin(own.index)].groupby(["kind", "turn"], sort=False):
+    for (axis, step_index), part in steps[steps["knee"].isin(own.index)].groupby(["kind", "repeat_index"], sort=False):
         here, positive = odds(part), part["grade"].isin(classes[1]).to_numpy()
         before = own.loc[here.index]
-        row = {"repeat": repeat, "axis": axis, "turn": int(turn), "trained": len(halves.training)}
+        row = {"repeat": repeat, "axis": axis, "step_index": int(step_index), "training_subjects": len(halves.training)}
         row |= {"curved": len(curved), "shift": float((here - before).mean())}
         row |= count_test_subjects(part["subject"], positive, (False, True))
         scores = {"auc": auc(positive, here.to_numpy()), "auc_own": auc(positive, before.to_numpy())}

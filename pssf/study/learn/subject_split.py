@@ -1,4 +1,4 @@
-"""Splits into training, validation and test subjects; all knees and radiographs of a subject are in one part."""
+"""Splits of subjects into training, validation and test set; all radiographs of a subject are in the same set."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,22 +12,22 @@ from ...core.checks import InputError
 from ..statistics.scores.subject_resampling import worst_grades
 
 PARTS = ("training", "validation", "test")
-# Fraction of the subjects in each part.
+# Fraction of the subjects in the training, validation and test set.
 _PART_FRACTIONS = (0.70, 0.15, 0.15)
 
 
 @dataclass(frozen=True)
 class Split:
-    """Subjects of each part, sorted; no subject is in two parts.
+    """Training, validation and test subjects, each sorted; no subject is in two sets.
 
     Attributes
     ----------
     training : (subjects,) array
-        Subjects that models are fitted to.
+        Subjects to which models are fitted.
     validation : (subjects,) array
-        Subjects that choose the hyperparameters.
+        Subjects on which the hyperparameters are chosen.
     test : (subjects,) array
-        Subjects that are tested.
+        Subjects on which models are tested.
     """
 
     training: NDArray[Any]
@@ -40,30 +40,30 @@ class Split:
         Returns
         -------
         DataFrame
-            Columns subject and part: one row per subject, sorted.
+            Columns subject and part (training, validation or test); one row per subject, sorted.
         """
         rows = [(subject, part) for part in PARTS for subject in getattr(self, part).tolist()]
         return pd.DataFrame(sorted(rows), columns=["subject", "part"])
 
 
 def split_subjects(subjects: Sequence[Any], grades: Sequence[int], *, seed: int, repeat: int = 0) -> Split:
-    """Split the subjects into 70 % training, 15 % validation and 15 % test, with every grade in every part.
+    """Split the subjects into 70 % training, 15 % validation and 15 % test subjects, with every grade in every set.
 
     Parameters
     ----------
     subjects : sequence
-        Subject of each radiograph or knee, as number or text.
+        Subject identifier of each radiograph or knee, as number or text.
     grades : sequence of int
-        Grade of each radiograph or knee; a subject has the highest grade of its knees.
+        Grade of each radiograph or knee; the grade of a subject is the highest grade of its knees.
     seed : int
         Seed of the study.
     repeat : int, default 0
-        Number of the split; a split does not depend on the number of splits.
+        Index of the split, counted from 0. The result does not depend on the total number of splits.
 
     Returns
     -------
     Split
-        Subjects of the three parts.
+        Training, validation and test subjects.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def split_subjects(subjects: Sequence[Any], grades: Sequence[int], *, seed: int,
         if len(members) < len(PARTS):
             raise InputError(
                 f"grade {grade} must have at least {len(PARTS)} subjects with a located region, got {len(members)}: "
-                "each part needs one"
+                "training, validation and test set need one subject each"
             )
         order = rng.permutation(members)
         for part, chosen in zip(PARTS, np.split(order, _compute_cut_points(len(members))), strict=True):
@@ -98,7 +98,7 @@ def select_splittable_grades(table: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Selected rows.
+        Rows of the selected subjects.
     """
     worst = worst_grades(table["subject"], table["grade"])
     counts = worst.map(worst.value_counts())
@@ -106,24 +106,24 @@ def select_splittable_grades(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def derive_split_seed(seed: int, repeat: int) -> int:
-    """Derive the seed of everything fitted on a split; the split of the subjects itself does not use it.
+    """Derive the seed of models and selections on a split; the split itself uses another random stream.
 
     Parameters
     ----------
     seed : int
         Seed of the study.
     repeat : int
-        Number of the split.
+        Index of the split, counted from 0.
 
     Returns
     -------
     int
-        Seed of the split.
+        Seed of the fits.
     """
     return int(np.random.SeedSequence(seed, spawn_key=(repeat, 1)).generate_state(1)[0] >> 1)
 
 
 def _compute_cut_points(count: int) -> list[int]:
-    """Compute where to cut `count` members into three parts of at least one member each."""
+    """Compute the two indices that divide `count` subjects into three sets of at least one subject each."""
     validation, test = (max(1, round(share * count)) for share in _PART_FRACTIONS[1:])
     return [count - validation - test, count - test]

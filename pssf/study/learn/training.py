@@ -32,12 +32,12 @@ def train_all_splits(
     Returns
     -------
     list of SplitOutcome
-        Outcome of each split, in order.
+        Predictions and tables of each split, in order.
 
     Raises
     ------
     InputError
-        A grade has too few subjects, or a worker runs other code.
+        A grade has too few subjects, or a worker runs another version of the code.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -54,20 +54,20 @@ def train_split(
     Parameters
     ----------
     repeat : int
-        Number of the split.
+        Index of the split, counted from 0.
     table : DataFrame
-        Radiographs, as for `train_all_splits`.
+        Table of radiographs, as for `train_all_splits`.
     names : list of str
         Names of the features.
     settings : StudySettings
         Settings of models and splits.
     code : mapping of str to str
-        Hashes of the code where the run started.
+        Code hashes in the process that started the run.
 
     Returns
     -------
     SplitOutcome
-        Outcome of the split.
+        Predictions and tables of the split.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Features of all images of a folder, measured inside the masks found by file name."""
+"""Measurement of the features of all images in a folder; masks are found by their file names."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -14,11 +14,11 @@ from ...core.processes.parallel_map import map_in_parallel
 from ...io.image_kind import SUFFIXES, is_image, list_files
 from .own_images import features, read_image, read_masks
 
-# X_mask.png is the mask of X.png.
+# End of the file name of a mask: X_mask.png is the mask of X.png.
 MASK_END = "_mask"
-# masks/X.png is a mask of X.png too; a cohort stores its masks in this folder.
+# Subfolder of masks, as in a cohort: masks/X.png is the mask of X.png.
 MASK_FOLDER = "masks"
-# Name in the table of an image that has no mask.
+# Entry of the column `mask` for an image without a mask.
 WHOLE_IMAGE = "whole image"
 
 
@@ -31,7 +31,7 @@ class ImageJob:
     image : Path
         Image file.
     masks : Path or None
-        File of its masks; None measures the whole image.
+        File with the masks of the image; None measures the whole image.
     """
 
     image: Path
@@ -41,19 +41,19 @@ class ImageJob:
 def list_images(folder: Path) -> list[ImageJob]:
     """List the images of a folder with their mask files.
 
-    The mask of X.png is X_mask.png beside it (with any suffix of an image). Otherwise it is a file X in the folder
-    ``masks`` inside or beside the folder, where `pssf cohort --masks` writes masks. An image without a mask is measured
-    whole.
+    The mask of X.png is X_mask.png in the same folder, with the suffix of any image format. If that file is missing,
+    the mask is the file X in a folder ``masks`` inside or next to `folder`, where `pssf cohort --masks` writes masks.
+    If an image has no mask, the whole image is measured.
 
     Parameters
     ----------
     folder : Path
-        Folder of the images.
+        Folder that contains the images.
 
     Returns
     -------
     list of ImageJob
-        Images in the order of their names.
+        Images and their mask files, sorted by name.
 
     Raises
     ------
@@ -68,13 +68,15 @@ def list_images(folder: Path) -> list[ImageJob]:
         own = [path for path in sorted(masks) if path.stem == f"{image.stem}{MASK_END}"]
         own = own or [path for path in sorted(below) if path.stem == image.stem]
         if len(own) > 1:
-            raise InputError(f"image {image} must have one mask, got {', '.join(map(str, own))}")
+            raise InputError(f"image {image} must have one mask file, got {', '.join(map(str, own))}")
         jobs.append(ImageJob(image=image, masks=own[0] if own else None))
     alone = masks - {job.masks for job in jobs}
     if alone:
-        raise InputError(f"mask {min(alone)} must have an image {min(alone).stem.removesuffix(MASK_END)}, got none")
+        raise InputError(
+            f"mask {min(alone)} must belong to an image {min(alone).stem.removesuffix(MASK_END)}, got none"
+        )
     if not jobs:
-        raise InputError(f"folder {folder} must hold images ({', '.join(SUFFIXES)}), got none")
+        raise InputError(f"folder {folder} must contain images ({', '.join(SUFFIXES)}), got none")
     return jobs
 
 
@@ -92,7 +94,7 @@ def measure_folder(
     Parameters
     ----------
     folder : Path
-        Folder of the images.
+        Folder that contains the images.
     execution : Execution, optional
         Workers, timer and progress bar.
     pixel_mm : float, optional
@@ -102,18 +104,18 @@ def measure_folder(
     families : collection of str
         Feature families to measure.
     backend : str, optional
-        Radiomics backend; None uses the first that is installed.
+        Radiomics backend; None uses the first installed backend.
 
     Returns
     -------
     DataFrame
-        One row per image and mask: file, mask (its name, or "whole image"), pixel_mm, status ("measured", or the reason
-        why not) and the features.
+        One row per image and mask: file, mask (its name, or "whole image"), pixel_mm, status ("measured", or the error
+        message) and the features.
 
     Raises
     ------
     InputError
-        The folder cannot be measured; see `list_images`.
+        The folder has no image, or masks and images do not match; see `list_images`.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -145,13 +147,13 @@ def measure_image(
     families : tuple of str
         Feature families to measure.
     backend : str or None
-        Radiomics backend; None uses the first that is installed.
+        Radiomics backend; None uses the first installed backend.
 
     Returns
     -------
     list of dict
         One row per mask: file, mask, pixel_mm, status and features. If the image or a mask cannot be measured, the
-        status is the reason.
+        status is the error message.
     """
     row: dict[str, Any] = {"file": job.image.as_posix(), "mask": WHOLE_IMAGE, "pixel_mm": np.nan}
     try:

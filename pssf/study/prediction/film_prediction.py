@@ -30,11 +30,11 @@ from ...radiomics.radiomics_tables import RadiomicsTables, radiomics_tables
 from ..learn.models.model_file import SavedModel, resolve_backend
 from .patient_test import make_film_job
 
-# Reasons for which a linear radiograph is not read; its joint is located with a known side and pixel pitch.
+# Status of a linear radiograph that is not used; localisation needs one knee with known side and pixel pitch.
 BOTH_KNEES = "both knees"
 NO_SIDE = "side not given"
 NO_PITCH = "pixel_mm not given"
-# Columns of the location result, before the probabilities and features.
+# Columns of the localisation result, which precede the probabilities and features.
 _REPORTED_COLUMNS = (
     "status",
     "film_side",
@@ -55,10 +55,10 @@ class FilmPredictions:
     Attributes
     ----------
     table : DataFrame
-        One row per patient radiograph: file, subject, grade (as given), warning, `_REPORTED_COLUMNS`, ``p grade <g>``
-        of each class, and the features.
+        One row per patient radiograph: file, subject, grade (as given by the user), warning, `_REPORTED_COLUMNS`,
+        ``p grade <g>`` of each class, and the features.
     warnings : tuple of str
-        One line each: the warnings of the table after the name of the file, and why files are unreadable.
+        Error message of each unreadable file, then each warning in the table with the file name in front.
     """
 
     table: pd.DataFrame
@@ -70,24 +70,24 @@ def predict_films(
 ) -> FilmPredictions:
     """Locate the joint, measure the features and predict the grade of each patient radiograph.
 
-    A radiograph that cannot be used has the reason as its status and no probability. Files of this package and DICOM
-    files state whether their pixels are linear. Any other file is read as a display with a warning, unless `linear` is
-    set. A model trained on linear pixels reads a display after matching its histogram to that of the standard knee,
-    with a warning.
+    For a radiograph that cannot be used, the status is the reason and the probabilities are NaN. Files of this package
+    and DICOM files state whether their pixels are linear. Any other file is read as displayed pixels, with a warning,
+    unless `linear` is True. If the model was trained on linear pixels, the histogram of displayed pixels is matched to
+    that of the standard knee, with a warning.
 
     Parameters
     ----------
     model : SavedModel
-        Model with its card and templates.
+        Model, model card and templates.
     films : sequence of Film
         Patient radiographs.
     folder : Path
-        Folder that the file names are relative to.
+        Folder to which the file names are relative.
     execution : Execution, optional
         Workers, scheduler, timer and progress bar.
     linear : bool, default False
-        If True, the pixels of all files not written by this package are linear in the signal, with air bright. Their
-        side and pixel pitch must then be known.
+        If True, the pixels of files from other sources are read as linear in the signal, with air bright. The knee side
+        and pixel pitch of these files must then be known.
 
     Returns
     -------
@@ -97,13 +97,13 @@ def predict_films(
     Raises
     ------
     InputError
-        There is no patient radiograph, the templates of the model cannot estimate the pixel pitch of a display, or no
-        installed radiomics backend has the features of the model.
+        There is no patient radiograph, or the templates of the model cannot estimate the pixel pitch of a display. No
+        installed radiomics backend computes the features of the model.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
     if not films:
-        raise InputError(f"films must hold at least one patient radiograph, got {len(films)}")
+        raise InputError(f"films must contain at least one patient radiograph, got {len(films)}")
     card, execution = model.card, execution or Execution()
     how = DisplayExtractionSettings(
         pixel_mm=card.pixel_mm,
@@ -139,9 +139,9 @@ def predict_films(
 
 
 def _compose_warning(pixel_kind: str, path: Path, record: Mapping[str, Any], is_display: bool, linear: bool) -> str:
-    """Compose the warning of one radiograph: everything that may make its result wrong.
+    """Compose the warning of one radiograph from all reasons why its result may be wrong.
 
-    Return "" for a radiograph that was not read, or if there is nothing to warn of.
+    Return "" if no joint was located or there is no such reason.
     """
     if record["status"] != "found":
         return ""
@@ -170,13 +170,13 @@ def draw_film_region(model: SavedModel, row: pd.Series, folder: Path, *, linear:
     Parameters
     ----------
     model : SavedModel
-        Model whose card gives the side of the region and the grades.
+        Model; its card contains the side length of the region and the grades.
     row : Series
         Row of `FilmPredictions.table`.
     folder : Path
-        Folder that the file name is relative to.
+        Folder to which the file name is relative.
     linear : bool, default False
-        As for `predict_films`.
+        If True, the pixels are read as linear; see `predict_films`.
 
     Returns
     -------
@@ -210,7 +210,7 @@ def _measure_jobs(
     measure: Callable[..., Measurement],
     load: Callable[[str], object],
 ) -> dict[str, dict]:
-    """Measure some radiographs and return their records by name."""
+    """Measure radiographs with one measurement function and return their records by name."""
     records, _ = measure_radiographs(
         jobs,
         load_pixels=load,
@@ -227,10 +227,10 @@ def _measure_jobs(
 def _resolve_linear_job(
     folder: Path, job: MeasurementJob, linear: bool, reads_displays: bool
 ) -> MeasurementJob | str | None:
-    """Decide how one file is read.
+    """Decide whether a file is read as linear pixels or as a display.
 
-    Return a job with side and pixel pitch to read linear pixels, the reason if the file cannot be used, or None to read
-    it as a display. With `linear`, files of other sources have linear pixels. With `reads_displays`, linear pixels are
+    Return a job with side and pixel pitch for linear pixels, None for a display, or the reason if the file cannot be
+    used. If `linear` is True, files of other sources have linear pixels. If `reads_displays` is True, linear pixels are
     rendered for display first.
     """
     try:
@@ -248,7 +248,7 @@ def _resolve_linear_job(
 
 
 def _resolve_foreign_job(folder: Path, job: MeasurementJob, reads_displays: bool) -> MeasurementJob | str | None:
-    """Decide how a file of another source with linear pixels is read; see `_resolve_linear_job`."""
+    """Decide how to read linear pixels of a file from another source; see `_resolve_linear_job`."""
     try:
         own = read_linear_pixels(folder / job.file)
     except InputError:
@@ -267,7 +267,7 @@ def _load_radiograph(folder: Path, file: str) -> Radiograph:
 
 
 def _load_linear_pixels(folder: Path, file: str) -> NDArray[np.uint16]:
-    """Load the linear pixels (rows, cols) of a file of any source."""
+    """Load the linear pixels (rows, cols) of a file from any source."""
     try:
         return _load_radiograph(folder, file).pixels
     except InputError:
@@ -287,14 +287,14 @@ def _load_display(folder: Path, pitch_mm_by_file: Mapping[str, float], file: str
 
 
 def _resolve_pitch_mm(folder: Path, job: MeasurementJob) -> float:
-    """Return the pixel pitch of a linear file of another source, in mm."""
+    """Return the pixel pitch of a file with linear pixels from another source, in mm."""
     pixel_mm = job.pixel_mm or read_linear_pixels(folder / job.file).pixel_mm
-    assert pixel_mm is not None  # A file without a pixel pitch has been rejected before.
+    assert pixel_mm is not None  # `_resolve_foreign_job` has rejected files without a pixel pitch.
     return pixel_mm
 
 
 def _is_package_radiograph(folder: Path, file: str) -> bool:
-    """Check whether a file holds a linear radiograph written by this package."""
+    """Check whether a file is a linear radiograph written by this package."""
     try:
         _load_radiograph(folder, file)
     except InputError:

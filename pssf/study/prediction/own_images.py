@@ -24,7 +24,7 @@ from ...radiomics.features.feature_extraction import extract_features
 from ...radiomics.features.feature_families import FAMILIES
 from .. import require_extra
 
-# Smallest mask, in pixels; pyradiomics computes no shape and no texture of a smaller one.
+# Smallest mask, in pixels; pyradiomics computes no shape and texture features of a smaller mask.
 _MIN_MASK_PX = 4
 # Allowed pixel pitch, in mm.
 _PITCH_RANGE_MM = (0.001, 50.0)
@@ -41,39 +41,39 @@ def features(
 ) -> dict[str, float]:
     """Measure radiomic features of an image inside a mask.
 
-    No joint is located, and grey values are used as they are. The names are those of a study's ``features.csv``: the
-    names of pyradiomics without ``original_``. First-order features are measured twice: of the grey values
-    (``firstorder_linear_Mean``) and of their z-score inside the mask (``firstorder_z_Mean``).
+    No joint is located, and grey values are not rescaled. Feature names are those in ``features.csv`` of a study: the
+    names of pyradiomics without ``original_``. First-order features are computed from the grey values
+    (``firstorder_linear_Mean``) and from their z-score inside the mask (``firstorder_z_Mean``).
 
     Parameters
     ----------
     image : (rows, cols) integer array, Radiograph, str or Path
-        Grey values, in any unit; a float array must hold whole numbers. A file may be a PNG, JPEG, TIFF or DICOM of 8
-        to 16 bit. Its stored values are measured, for DICOM after the rescale.
+        Grey values, in any unit; a float array must contain whole numbers. A file may be a PNG, JPEG, TIFF or DICOM of
+        8 to 16 bit. The stored values are used, for DICOM after rescale slope and intercept.
     mask : (rows, cols) array of any unit, str or Path, optional
-        Pixels to measure: those that are not zero. A file may be a picture, or the mask of one bone written by
-        `save_masks`. None measures the whole image. Shape features are then those of its rectangle, as in pyradiomics
-        with a mask of ones.
+        Mask whose nonzero pixels are measured. A file may be an image, or the mask of one bone written by `save_masks`.
+        None measures the whole image; shape features are then those of the image rectangle, as in pyradiomics with a
+        mask of ones.
     pixel_mm : float, optional
-        Pixel pitch, 0.001 to 50 mm. It is needed if the image does not store it. A `Radiograph`, files of this package
-        and most DICOM files do.
+        Pixel pitch, 0.001 to 50 mm. It is required if the image does not contain the pitch. A `Radiograph`, files of
+        this package and most DICOM files contain it.
     bins : int, default 64
-        Number of grey-level bins of the texture features, 8 to 256. The bins are equal and span the grey values inside
-        the mask.
+        Number of grey-level bins of the texture features, 8 to 256. The bins have equal width and span the grey values
+        inside the mask.
     families : collection of str
-        Feature families: firstorder, shape2D, glcm, glrlm, glszm, ngtdm, gldm; all by default.
+        Feature families to measure: firstorder, shape2D, glcm, glrlm, glszm, ngtdm, gldm. The default is all.
     backend : str, optional
-        "pyradiomics" or "mirp"; None uses the first that is installed.
+        Radiomics backend: "pyradiomics" or "mirp". None uses the first installed backend.
 
     Returns
     -------
     dict of str to float
-        Value of each feature by its name; lengths in mm, areas in mm2.
+        Value of each feature by name; lengths in mm, areas in mm2.
 
     Raises
     ------
     InputError
-        The image or mask cannot be read or used, the mask has another shape or fewer than four pixels, the pixel pitch
+        The image or mask cannot be read, the mask has another shape or fewer than four pixels, the pixel pitch
         is unknown, or a family, backend or number of bins is not allowed.
 
     Examples
@@ -105,7 +105,7 @@ def features(
 
 
 def read_image(path: Path) -> tuple[NDArray[Any], float | None]:
-    """Read the grey values of a file and its pixel pitch.
+    """Read the grey values and the pixel pitch of an image file.
 
     Parameters
     ----------
@@ -133,17 +133,17 @@ def read_image(path: Path) -> tuple[NDArray[Any], float | None]:
 
 
 def read_masks(path: Path) -> dict[str, NDArray[np.bool_]]:
-    """Read the masks of a file.
+    """Read all masks in a file.
 
     Parameters
     ----------
     path : Path
-        File written by `save_masks`, or one picture.
+        File written by `save_masks`, or an image of one mask.
 
     Returns
     -------
     dict of str to (rows, cols) bool array
-        Masks by name; the mask of a picture is called "mask".
+        Masks by name; the mask in an image is called "mask".
 
     Raises
     ------
@@ -173,7 +173,7 @@ def _read_grey_values(image: Any) -> tuple[NDArray[Any], float | None]:
     if values.dtype.kind == "f":
         if not np.isfinite(values).all() or not (values == np.rint(values)).all():
             raise InputError(
-                f"image must hold whole numbers, got {_find_fraction(values)}: round the values, because rounding "
+                f"image must contain whole numbers, got {_find_fraction(values)}: round the values, because rounding "
                 "errors would change the bins"
             )
         values = values.astype(np.int64)
@@ -186,7 +186,8 @@ def _read_mask(mask: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
         masks = read_masks(Path(mask))
         if len(masks) != 1:
             raise InputError(
-                f"mask must be one mask, got {len(masks)} ({', '.join(masks)}) in {mask}: pass one mask of load_masks"
+                f"mask must be one mask, got {len(masks)} ({', '.join(masks)}) in {mask}: "
+                "load the file with load_masks and pass one mask"
             )
         (mask,) = masks.values()
     values = np.asarray(mask)

@@ -1,8 +1,8 @@
-"""External test on patient radiographs: models are trained on the cohort as displayed.
+"""External test of models on patient radiographs; the models are trained on the displayed cohort.
 
-Simulated pixels are linear in the signal, but a patient radiograph is a display with an unknown tone curve. The
-cohort's radiographs are therefore rendered for display. Both are then read in the same way, starting with the
-location of the joint; see `radiomics.displayed_radiograph`.
+Simulated pixels are linear in the signal, but a patient radiograph is processed for display with an unknown tone curve.
+The cohort radiographs are therefore rendered for display. Joint localisation and feature measurement are then the same
+for cohort and patient radiographs; see `radiomics.displayed_radiograph`.
 """
 
 import hashlib
@@ -51,9 +51,9 @@ from ..statistics.scores.patient_scores import (
 
 # Largest number of patient radiographs from which pixel pitch and region are estimated.
 _MAX_SAMPLED_FILMS = 15
-# Label of the training set in the names of the models.
+# Label of the training set in the model names.
 FILM_MODEL_LABEL = "films"
-# Label of each measuring stage -> stem of its table, from which a later run continues.
+# Measurement stage -> stem of the CSV file with its records, from which a later run continues.
 _FEATURE_TABLES = {"cohort as displayed": "displays", "patient radiographs": "films_features"}
 _REPORTED_COLUMNS = (
     "status",
@@ -74,18 +74,18 @@ class FilmTestResult:
     Attributes
     ----------
     tables : dict of str to DataFrame
-        ``films``: one row per patient radiograph with its probabilities; ``films_scores``: of `score_films`;
-        ``films_grades``: of `score_grades`.
+        Tables by name. ``films``: one row per patient radiograph with its probabilities; ``films_scores``: result of
+        `score_films`; ``films_grades``: result of `score_grades`.
     counts : DataFrame
-        Numbers of radiographs by grade and status, of `count_films_by_grade`.
+        Number of radiographs per grade and status, from `count_films_by_grade`.
     display_settings : DisplayExtractionSettings
-        Pixel pitch and region with which patient radiographs and cohort were read.
+        Pixel pitch and region used for patient radiographs and cohort.
     protocol : str
-        Protocol of the cohort that the models were trained on.
+        Protocol of the cohort radiographs used for training.
     training_radiographs : tuple of int
-        Number of radiographs used in training, and number of radiographs under the protocol.
+        Number of radiographs used for training, and number of all radiographs under the protocol.
     models : dict of str to bytes
-        File of each model, by name.
+        Content of each model file, by model name.
     """
 
     tables: dict[str, pd.DataFrame]
@@ -98,7 +98,7 @@ class FilmTestResult:
 
 @dataclass(frozen=True)
 class MeasurementContext:
-    """Inputs, settings and execution of a measurement.
+    """Templates, settings and execution for the feature measurement of patient and cohort radiographs.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ class MeasurementContext:
 
 
 def check_films(films: FilmSet, manifest: pd.DataFrame, settings: StudySettings, templates: Sequence[Template]) -> None:
-    """Check that the models of a cohort can be tested on the patient radiographs.
+    """Check that models trained on a cohort can be tested on patient radiographs.
 
     Parameters
     ----------
@@ -138,11 +138,11 @@ def check_films(films: FilmSet, manifest: pd.DataFrame, settings: StudySettings,
     Raises
     ------
     InputError
-        The manifest lacks the protocol, no chosen feature family is independent of the tone curve, or a template lacks
-        the width of its tibial plateau.
+        The manifest does not contain the protocol, no chosen feature family is independent of the tone curve, or the
+        tibial plateau width of a template is unknown.
     """
     require_plateau_width(templates)
-    require_choice("films-protocol", films.protocol, sorted(set(manifest["protocol"])))
+    require_choice("films_protocol", films.protocol, sorted(set(manifest["protocol"])))
     if not set(settings.families) & set(TONE_INVARIANT_FAMILIES):
         raise InputError(
             f"families must include one or more of {', '.join(TONE_INVARIANT_FAMILIES)} with films, "
@@ -156,9 +156,9 @@ def evaluate_on_films(bench: MeasurementContext, films: FilmSet, manifest: pd.Da
     Parameters
     ----------
     bench : MeasurementContext
-        Templates, settings, folder and execution.
+        Templates, settings, output folder and execution.
     films : FilmSet
-        Patient radiographs, protocol of the cohort, pixel pitch and region.
+        Patient radiographs, protocol of the training radiographs, pixel pitch and region side length.
     manifest : DataFrame
         Manifest of the cohort, as for `study.run`.
 
@@ -232,7 +232,7 @@ def make_film_job(film: Film) -> MeasurementJob:
 
 
 def _make_cohort_jobs(cohort: pd.DataFrame) -> list[MeasurementJob]:
-    """Make the measurement jobs of radiographs of the cohort."""
+    """Make one measurement job per cohort radiograph."""
     columns = ["radiograph", "file", "sha256", "side", "pixel_mm"]
     return [MeasurementJob(**{name: row[name] for name in columns}) for row in cohort[columns].to_dict("records")]
 
@@ -244,10 +244,11 @@ def _resolve_pitch_and_region_mm(
     least_mm: float,
     largest_mm: float,
 ) -> tuple[float, float]:
-    """Return pixel pitch and region side in mm, as given or estimated from some patient radiographs.
+    """Return pixel pitch and region side length in mm, as given or estimated from some patient radiographs.
 
-    The estimated pitch is the median, rounded to 0.01 mm, and no finer than the protocol's. The estimated side is the
-    largest whole number of mm that fits about the joint line in nine of ten radiographs, at most the study's side.
+    The estimated pitch is the median, rounded to 0.01 mm, but at least `least_mm`, the pitch of the protocol. The
+    estimated side length is the largest whole number of mm for which a region centred on the joint line fits in 90 % of
+    the radiographs, but at most `largest_mm`.
     """
     if films.pixel_mm is not None and films.region_mm is not None:
         return films.pixel_mm, films.region_mm
@@ -258,7 +259,7 @@ def _resolve_pitch_and_region_mm(
             side, pixel_mm = film.side or image.side, film.pixel_mm or image.pixel_mm
             joint = locate_joint_in_display(image.pixels, templates, localisation, side, pixel_mm)
         except InputError:
-            continue  # The radiograph is counted with its reason when it is measured.
+            continue  # The measurement reports unreadable radiographs, so they are skipped here.
         if joint.status == "found":
             rows, cols = image.pixels.shape[0] * joint.pixel_height, image.pixels.shape[1]
             around = min(joint.square_pixel_row, joint.col, rows - 1 - joint.square_pixel_row, cols - 1 - joint.col)
@@ -279,7 +280,7 @@ def _measure_jobs(
     load: Any,
     stage_name: str,
 ) -> pd.DataFrame:
-    """Measure displayed radiographs and keep their records in a table."""
+    """Measure displayed radiographs, reusing the records in a CSV file, and save all records in the file."""
     path = bench.out / f"{_FEATURE_TABLES[stage_name]}.csv"
     earlier = study_results.load_table(path, TEXT_COLUMNS)
     known: dict[str, Record] = {}
@@ -326,7 +327,7 @@ def _pack_film_model(
     cohort: pd.DataFrame,
     settings: StudySettings,
 ) -> bytes:
-    """Pack a model trained on displayed radiographs as a file."""
+    """Pack a model trained on displayed radiographs as a model file."""
     return pack_model(
         kept,
         templates,
@@ -353,7 +354,7 @@ def list_training_protocols(manifest: pd.DataFrame) -> tuple[TrainingProtocol, .
     Returns
     -------
     tuple of TrainingProtocol
-        Pixel pitch and distances of each protocol.
+        Name, pixel pitch and source distances of each protocol.
     """
     first = manifest.drop_duplicates("protocol")
     lengths = ("pixel_mm", "sdd_mm", "sod_mm")
@@ -366,10 +367,10 @@ def list_training_protocols(manifest: pd.DataFrame) -> tuple[TrainingProtocol, .
 def _predict_films(
     films: pd.DataFrame, names: list[str], kept: Sequence[RefittedModel]
 ) -> tuple[pd.DataFrame, pd.DataFrame, pd.DataFrame]:
-    """Predict all patient radiographs.
+    """Predict the class probabilities of all patient radiographs with all models.
 
-    Return the table films, the predictions of two-class models and the predictions of multiclass models. The
-    predictions are of radiographs with a located joint and a known grade.
+    Return the table ``films``, the predictions of two-class models and the predictions of multiclass models. The two
+    prediction tables contain only radiographs with a located joint and a known grade.
     """
     is_found = films["status"] == "found"
     table = films.reindex(columns=["file", "subject", "grade", *_REPORTED_COLUMNS]).copy()

@@ -1,7 +1,7 @@
 """Sections of the report that consist of sentences, figures and one table."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from typing import Any
 
 import pandas as pd
 
@@ -11,39 +11,15 @@ from ..learn.confounded_training import CONFOUNDERS
 from ..learn.incremental_value import JSW_MEASUREMENT_SD_MM, PREDICTOR_SETS
 from ..statistics.analyses.incremental_value_scores import BEST_POSSIBLE
 from ..statistics.analyses.learning_curves import TARGET_POWER
-from . import incremental_value_figures, response_curve_figures
-from .report_page import Picture, format_fixed, format_signed
+from ..statistics.scores.claims import UNDECIDED
+from .cell_formats import MISSING, format_fixed, format_interval, format_signed
+from .figures import incremental_value_figures, response_curve_figures
+from .report_elements import Picture, Section
+from .undecided_tables import explain_undecided_intervals
 
-
-@dataclass(frozen=True, kw_only=True)
-class Section:
-    """A section of the report.
-
-    Parameters
-    ----------
-    name : str
-        Identifier of the section in the page.
-    short_title : str
-        Title in the list of sections.
-    title : str
-        Heading.
-    sentences : sequence of str
-        Paragraphs below the heading.
-    table : DataFrame
-        Formatted cells with printed column names; an empty table is not shown.
-    note : str
-        Note below the table.
-    pictures : sequence of Picture
-        Figures between the paragraphs and the table.
-    """
-
-    name: str
-    short_title: str
-    title: str
-    sentences: Sequence[str]
-    table: pd.DataFrame = field(default_factory=pd.DataFrame)
-    note: str = ""
-    pictures: Sequence[Picture] = ()
+# Reasons why a table is collapsed.
+_NO_ANSWER = "No question is answered: every corrected p is 0.05 or more, or the test sets have too few subjects."
+_NO_BREAKPOINT = "No breakpoint is decided: there are too few test subjects, or the AUC is at chance level."
 
 
 def make_segmentation_section(table: pd.DataFrame) -> list[Section]:
@@ -52,12 +28,12 @@ def make_segmentation_section(table: pd.DataFrame) -> list[Section]:
     Parameters
     ----------
     table : DataFrame
-        Table of `segmentation_accuracy.evaluate_segmentation`.
+        Table from `segmentation_accuracy.evaluate_segmentation`.
 
     Returns
     -------
     list of Section
-        One section, or none if the table is empty.
+        One section; empty if the table is empty.
     """
     if table.empty:
         return []
@@ -76,26 +52,25 @@ def make_segmentation_section(table: pd.DataFrame) -> list[Section]:
     return [
         Section(
             name="bone",
-            short_title="Segmentation",
             title="Segmentation accuracy",
             sentences=(
-                "Shape features are measured on the segmented bone. The table compares it with the projection of all "
-                "bones, including osteophytes, in the regions of the repeat radiographs. If the two differ much, a "
-                "shape feature describes where the signal crosses a threshold, and not the outline of bone.",
+                "Shape features are measured on the segmented bone. The table compares the segmented bone with the "
+                "projection of all bones, including osteophytes, in the regions of the repeat radiographs. If they "
+                "differ much, a shape feature describes a threshold contour of the signal and not the outline of bone.",
             ),
             table=pd.DataFrame(shown),
-            note="Distances are symmetric distances between the outlines, at the joint plane. All values are in "
-            "segmentation.csv.",
+            files=("segmentation.csv",),
+            note="Distances are symmetric distances between the outlines, at the joint plane.",
         )
     ]
 
 
-def make_incremental_value_section(rungs: pd.DataFrame, differences: pd.DataFrame, subjects: int) -> Section:
+def make_incremental_value_section(aucs: pd.DataFrame, differences: pd.DataFrame, subjects: int) -> Section:
     """Make the section on the incremental predictive value.
 
     Parameters
     ----------
-    rungs : DataFrame
+    aucs : DataFrame
         AUC of each predictor set, as for `incremental_value_figures.draw_incremental_value`.
     differences : DataFrame
         Paired differences of AUC between predictor sets.
@@ -108,8 +83,8 @@ def make_incremental_value_section(rungs: pd.DataFrame, differences: pd.DataFram
         Section with one figure and one table.
     """
     picture = Picture(
-        name="ladder",
-        png=incremental_value_figures.draw_incremental_value(rungs, differences),
+        name="incremental_value",
+        png=incremental_value_figures.draw_incremental_value(aucs, differences),
         alt="AUC of grade 0 vs each other grade by predictor set, and paired differences",
         caption="Top: AUC of logistic regression by predictor set, mean over the splits with 95 % interval. Dashed "
         "line: best possible AUC, a lower bound from all parameters of newly sampled knees. Bottom: paired differences "
@@ -120,30 +95,31 @@ def make_incremental_value_section(rungs: pd.DataFrame, differences: pd.DataFram
             "Question": row["question"],
             "Grades": row["grades"],
             "Difference of AUC": format_signed(row["difference"]),
-            "95 % interval": f"{format_signed(row['low'])} to {format_signed(row['high'])}",
+            "95 % interval": format_interval(row["low"], row["high"], signs=True),
             "p (Holm)": format_fixed(row["p_holm"], 3),
             "Answer": row["answer"],
         }
         for row in differences.to_dict("records")
     ]
-    best = rungs[rungs["rung"] == BEST_POSSIBLE]
-    drawn = f" ({int(best['knees'].iloc[0])} knees per pair of grades, held-out fifths)" if len(best) else ""
+    best = aucs[aucs["predictor_set"] == BEST_POSSIBLE]
+    best_knees = f" ({int(best['knees'].iloc[0])} knees per pair of grades, cross-validation)" if len(best) else ""
     return Section(
-        name="ladder",
-        short_title="Incremental value",
+        name="incremental_value",
         title="Incremental predictive value",
         sentences=(
             "Logistic regression is trained and tested on the same splits with different predictor sets: "
             f"{', '.join(PREDICTOR_SETS.values())}. Measured JSW is true JSW plus a measurement error of "
-            f"{JSW_MEASUREMENT_SD_MM} mm (Mazzuca 1999) in each compartment. It bypasses feature selection, so that "
-            "the differences show what features add.",
+            f"{JSW_MEASUREMENT_SD_MM} mm (Mazzuca 1999) in each compartment. JSW is always used and "
+            "only features are selected, so the differences show the incremental value of the features.",
             "Apart from trabecular texture, an image cannot predict the grade better than all parameters of a knee. "
-            f"The best possible AUC is estimated by a fit to newly sampled knees{drawn}; it is a lower bound. If the "
-            f"true parameters reach less than that here, {subjects} subjects are too few to train on.",
+            f"The best possible AUC is estimated by a fit to newly sampled knees{best_knees}; it is a lower bound. If "
+            f"the AUC of the true parameters is lower, {subjects} subjects are too few for training.",
         ),
         table=pd.DataFrame(shown),
-        note="Yes and no: the corrected p is below 0.05 and the splits test enough subjects; no means that the first "
-        "predictor set is worse. All values are in ladder.csv and ladder_differences.csv.",
+        note="Yes and no: the corrected p is below 0.05 and there are enough test subjects; no means that the first "
+        "predictor set has a lower AUC.",
+        files=("incremental_value.csv", "incremental_value_differences.csv"),
+        undecided="" if (differences["answer"] != UNDECIDED).any() else _NO_ANSWER,
         pictures=(picture,),
     )
 
@@ -154,9 +130,9 @@ def make_learning_section(curves: pd.DataFrame, power: pd.DataFrame) -> Section:
     Parameters
     ----------
     curves : DataFrame
-        Table of `learning_curves.compute_learning_curves`.
+        Table from `learning_curves.compute_learning_curves`.
     power : DataFrame
-        Table of `learning_curves.tabulate_power`.
+        Table from `learning_curves.tabulate_power`.
 
     Returns
     -------
@@ -168,8 +144,8 @@ def make_learning_section(curves: pd.DataFrame, power: pd.DataFrame) -> Section:
         png=incremental_value_figures.draw_learning_curves(curves, power),
         alt="AUC against the number of training subjects, and power against the size of a cohort, by pair of grades",
         caption="Top: AUC against the number of training subjects. The test subjects of a split are always the same, "
-        "so only the training changes. Bottom: power to show the chosen difference from measured JSW against the "
-        "number of subjects of a cohort. Dot: this cohort. Band: from the interval of the variance over the splits.",
+        "so only the training changes. Bottom: power to detect the difference of AUC from measured JSW, against the "
+        "number of subjects in a cohort. Dot: this cohort. Band: interval due to the uncertainty of the variance.",
     )
     shown = [
         {
@@ -177,24 +153,24 @@ def make_learning_section(curves: pd.DataFrame, power: pd.DataFrame) -> Section:
             "Grades": row["grades"],
             "Subjects of this cohort": row["subjects"],
             "Power of this cohort": format_fixed(row["power"]),
-            f"Subjects for a power of {TARGET_POWER}": f"{row['needed']:.0f}",
-            "95 % interval": f"{row['needed_low']:.0f} to {row['needed_high']:.0f}",
+            f"Subjects for a power of {TARGET_POWER}": format_fixed(row["required_subjects"], 0),
+            "95 % interval": format_interval(row["required_subjects_low"], row["required_subjects_high"], 0),
         }
         for row in power.to_dict("records")
     ]
-    chosen = f"{power['difference'].iloc[0]:g}" if len(power) else "the chosen size"
+    difference = f"{power['difference'].iloc[0]:g}" if len(power) else "the set value"
     return Section(
         name="learning",
-        short_title="Sample size",
         title="Sample size and power",
         sentences=(
             "The learning curves show how the AUC of a classifier depends on the number of training subjects. The "
-            f"power is the probability that a cohort shows a difference of AUC of {chosen} at 5 %, two-sided, by the "
-            "paired test of this report. The variance of a difference is assumed to fall as 1 / number of subjects.",
+            f"power is the probability of detecting a difference of AUC of {difference} at 5 %, two-sided, with the "
+            "paired test of this report. The variance of a difference is assumed to be proportional to 1 / subjects.",
         ),
         table=pd.DataFrame(shown),
-        note="Subjects are those of both grades in training, validation and test. The gain of each step with its "
-        "interval is in learning.csv, the standard errors are in power.csv.",
+        note="Subjects: training, validation and test subjects of the two grades. The gain of AUC per step and its "
+        "interval are in learning.csv, the standard errors in power.csv.",
+        files=("learning.csv", "power.csv"),
         pictures=(picture,),
     )
 
@@ -212,13 +188,13 @@ def make_response_curves_section(
     Parameters
     ----------
     tables : mapping of str to DataFrame
-        Rows of the response curves, by "curve_<axis>".
+        Rows of the response curves, by name: "curve_<axis>".
     breaks : DataFrame
-        Table of `breakpoints.find_breakpoints`.
+        Table from `breakpoints.find_breakpoints`.
     axes : mapping of str to ProtocolAxis
         Axes by name.
     leading : sequence of str
-        Features that are shown one by one.
+        Names of the features that are shown individually.
     knees : int
         Number of knees with response curves.
     task : str
@@ -237,9 +213,9 @@ def make_response_curves_section(
             ),
             alt=f"Change of features, their ICC, threshold shift and AUC against {axis.label}",
             caption=f"{axis.label[0].upper()}{axis.label[1:]}. From left to right: change of the most important "
-            "features; their ICC(2,1) with the radiographs of the cohort; log odds by which a threshold would have to "
-            "move; AUC. Orange: breakpoint of a conclusion of the table, with its interval. Dotted line: unchanged "
-            "protocol.",
+            "features; their ICC(2,1) with the radiographs of the cohort; shift of the log odds, which the decision "
+            "threshold would have to follow; AUC. Orange: breakpoints in the table, with their intervals. Dotted line: "
+            "unchanged protocol.",
         )
         for name, axis in axes.items()
     ]
@@ -247,25 +223,26 @@ def make_response_curves_section(
         {
             "Axis": row["axis"].replace("_", " "),
             "Conclusion": row["conclusion"],
-            "Breakpoint": row["reading"],
-            "Measured range": f"{row['from']:.3g} to {row['to']:.3g}",
+            **_describe_breakpoint(row),
+            "Measured range": f"{row['range_low']:.3g} to {row['range_high']:.3g}",
         }
         for row in breaks.to_dict("records")
     ]
     return Section(
         name="curves",
-        short_title="Response curves",
         title="Response curves",
         sentences=(
-            f"{knees} knees of grade {task} are imaged again while one protocol parameter is changed in steps. Each "
-            "image has its own noise. The first model and selection are trained under the unchanged protocol. In every "
-            "split they are tested on half of these knees, which are not used in training.",
-            "A conclusion is followed from the unchanged protocol outwards to the first step at which it fails. The "
-            "interval for a median ICC is from bootstrap samples of subjects. The interval for a loss of AUC is where "
-            "the ends of its 95 % interval cross the limit.",
+            f"{knees} knees of grade {task} are imaged again while one protocol parameter is changed in steps. The "
+            "noise of each image is independent. The first model and feature selection are trained on the unchanged "
+            "protocol. In every split they are tested on half of the knees, which are not used in training.",
+            "The breakpoint of a conclusion is the first step, counted from the unchanged protocol, at which it fails. "
+            "The interval for a median ICC is computed from bootstrap samples of subjects. The interval for a loss of "
+            "AUC is given by the steps at which the limits of its 95 % interval cross the allowed loss.",
         ),
         table=pd.DataFrame(shown),
-        note="Every feature at every step is in curve_<axis>.csv, the breakpoints are in breakpoints.csv.",
+        files=("breakpoints.csv", *(f"curve_{name}.csv" for name in axes)),
+        undecided="" if (breaks["result"] != UNDECIDED).any() else _NO_BREAKPOINT,
+        note="Breakpoint: first step at which the conclusion fails, below or above the unchanged protocol.",
         pictures=pictures,
     )
 
@@ -281,9 +258,9 @@ def make_sensitivity_section(
     Parameters
     ----------
     sobol_indices : DataFrame
-        Table of `sensitivity_analysis.compute_sobol_indices`.
+        Table from `sensitivity_analysis.compute_sobol_indices`.
     sensitivities : DataFrame
-        Table of `sensitivity_analysis.merge_sensitivity_tables`.
+        Table from `sensitivity_analysis.merge_sensitivity_tables`.
     leading : sequence of str
         Most important features of the models.
     bounds : mapping of str to tuple of float
@@ -295,12 +272,12 @@ def make_sensitivity_section(
         Section with one figure and one table.
     """
     picture = Picture(
-        name="meaning",
+        name="sensitivity",
         png=response_curve_figures.draw_sensitivity(sobol_indices, sensitivities, leading),
         alt="Total Sobol indices of parameter groups for the most important features; slopes against correlations",
         caption="Left: total Sobol index of each parameter group for the most important features: the fraction of "
-        "variance that the group explains alone and in interactions (Sobol 1993). Right: slope with the noise held "
-        "against correlation, one point per feature and parameter. On the line both are equal.",
+        "variance that the group explains alone and in interactions (Sobol 1993). Right: slope with fixed noise "
+        "against correlation, one point per feature and parameter. On the line, slope and correlation are equal.",
     )
     part = sensitivities[sensitivities["feature"].isin(leading)].dropna(subset="slope")
     strongest = part.assign(size=part["slope"].abs()).sort_values("size", ascending=False, kind="stable")
@@ -309,29 +286,29 @@ def make_sensitivity_section(
             "Feature": row["feature"],
             "Parameter": row["parameter"],
             "Slope, SD per SD": format_signed(row["slope"]),
-            "95 % interval": f"{format_signed(row['slope_low'])} to {format_signed(row['slope_high'])}",
+            "95 % interval": format_interval(row["slope_low"], row["slope_high"], signs=True),
             "Correlation": format_signed(row["rho"]),
             "Correlation within grades": format_signed(row["rho_within"]),
         }
         for row in strongest.groupby("feature", sort=False).head(2).to_dict("records")
     ]
-    spans = "; ".join(f"{PARAMETER_SPACE[name].label} {low:.3g} to {high:.3g}" for name, (low, high) in bounds.items())
-    samples = f" of {int(sobol_indices['samples'].max())} samples" if len(sobol_indices) else ""
+    spans = "; ".join(f"{PARAMETER_SPACE[name].label}: {low:.3g} to {high:.3g}" for name, (low, high) in bounds.items())
+    samples = f" from {int(sobol_indices['samples'].max())} samples" if len(sobol_indices) else ""
     return Section(
-        name="meaning",
-        short_title="Sensitivity",
+        name="sensitivity",
         title="Sensitivity analysis",
         sentences=(
-            f"Sobol indices{samples} over parameters of knee and protocol, by SALib with 95 % intervals. A slope is "
-            "the change of a feature when one parameter of a knee changes by a tenth of its span while everything else "
-            "is held, including the noise. A correlation over the cohort also contains associations that arise because "
-            "both depend on the grade.",
+            f"Sobol indices over parameters of knee and protocol are computed by SALib{samples}, with 95 % intervals. "
+            "A slope is the change of a feature if one parameter of a knee changes by a tenth of its range. All "
+            "other parameters and the noise are fixed. A correlation over the cohort also contains associations that "
+            "arise because feature and parameter depend on the grade.",
             f"Range of the parameters: {spans}.",
         ),
         table=pd.DataFrame(shown),
-        note="The table shows the two strongest slopes of each of the most important features. All slopes and "
-        "correlations are in feature_parameter_correlations.csv, first-order and total Sobol indices are in "
-        "sobol_indices.csv.",
+        files=("feature_parameter_correlations.csv", "slopes.csv", "sobol_indices.csv"),
+        undecided=explain_undecided_intervals(part, "slope_low", "slope_high", bound=0.0),
+        note="The table shows the two strongest slopes of each of the most important features. The files contain all "
+        "slopes and correlations, and the first-order and total Sobol indices.",
         pictures=(picture,),
     )
 
@@ -342,7 +319,7 @@ def make_confounders_section(table: pd.DataFrame) -> Section:
     Parameters
     ----------
     table : DataFrame
-        Table of `confounding_effects.estimate_confounding`.
+        Table from `confounding_effects.estimate_confounding`.
 
     Returns
     -------
@@ -363,25 +340,41 @@ def make_confounders_section(table: pd.DataFrame) -> Section:
             "Confounder": CONFOUNDERS[row["confounder"]],
             "Strength": f"{row['strength']:g}",
             "Measure": row["measure"],
-            "AUC": format_fixed(row["value"]),
-            "95 % interval": f"{format_fixed(row['low'])} to {format_fixed(row['high'])}",
+            "AUC or difference": format_fixed(row["value"]),
+            "95 % interval": format_interval(row["low"], row["high"]),
         }
         for row in strongest.to_dict("records")
     ]
     return Section(
         name="confounders",
-        short_title="Confounders",
         title="Confounders by design",
         sentences=(
             "At strength s, a fraction (1 + s)/2 of the training subjects of grade 2 is above the median age or BMI, "
             "or imaged under the second protocol. The same fraction of grade 0 is below the median, or imaged under "
             "the reference. The number of subjects does not depend on s. Test subjects are weighted so that the "
-            "association is present or absent. The adjusted model uses features from which the effect of the "
-            "confounder within a grade is subtracted, fitted by least squares in training.",
+            "association is present or absent. For the adjusted model, the effect of the confounder is "
+            "subtracted from the features; it is fitted to the training subjects within each grade by least squares.",
         ),
         table=pd.DataFrame(shown),
-        note="The table shows the strongest association; all strengths, with p, are in confounders.csv. Age affects an "
-        "image only through thinner trabeculae. Any other gain by age comes from variables associated with age and "
-        "grade in this cohort, or from chance.",
+        files=("confounders.csv",),
+        undecided=explain_undecided_intervals(strongest, "low", "high"),
+        note="The table shows the strongest association; the file contains all strengths and p-values. Age affects an "
+        "image only through thinner trabeculae. Any other gain with age is due to variables associated with age and "
+        "grade in this cohort, or to chance.",
         pictures=(picture,),
     )
+
+
+def _describe_breakpoint(row: Mapping[str, Any]) -> dict[str, str]:
+    """Describe a breakpoint and its interval; outside the measured range, only the exceeded limit is given."""
+    low, high = row["range_low"], row["range_high"]
+    if row["result"] == UNDECIDED:
+        return {"Breakpoint": UNDECIDED, "95 % interval": MISSING}
+
+    def place(value: float) -> str:
+        """Format a value; outside the measured range, name the exceeded limit."""
+        return f"{value:.3g}" if low <= value <= high else f"beyond {low if value < low else high:.3g}"
+
+    ends = list(dict.fromkeys(place(end) for end in (row["low"], row["high"])))
+    value = f"{row['side']} {place(row['value'])}" if low <= row["value"] <= high else "none in the measured range"
+    return {"Breakpoint": value, "95 % interval": " to ".join(ends)}

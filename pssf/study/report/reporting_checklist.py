@@ -1,6 +1,6 @@
-"""Items of reporting guidelines that a program can answer, each with its evidence.
+"""Checklist of reporting guidelines: items answered from the files of a study, with evidence.
 
-Other items are left to the authors.
+All other items must be answered by the authors.
 """
 
 from collections.abc import Mapping
@@ -17,7 +17,7 @@ def fill_checklist(out: Path, guidelines: Mapping[str, Guideline]) -> dict[str, 
     """Answer the items of IBSI, METRICS, CLEAR, TRIPOD+AI and CLAIM for the study in a folder.
 
     The items are in ``data/reporting.toml``. An item is answered "yes" only if the files of the run meet all conditions
-    of its evidence; see `io.file_conditions.find_unmet_condition`.
+    in its evidence; see `io.file_conditions.find_unmet_condition`.
 
     Parameters
     ----------
@@ -29,9 +29,9 @@ def fill_checklist(out: Path, guidelines: Mapping[str, Guideline]) -> dict[str, 
     Returns
     -------
     dict of str to Any
-        versions: version of each guideline. summary: number of items by guideline and status. metrics_score_percent:
-        strict METRICS score, earned over applicable weight, in which items for a human are not earned. items:
-        guideline, id, item, status and evidence of each item.
+        Entries by name. versions: version of each guideline. summary: number of items by guideline and status.
+        metrics_score_percent: strict METRICS score: weight of the items answered "yes" divided by the weight of all
+        applicable items. items: guideline, id, item, status and evidence of each item.
     """
     items = [
         {"guideline": name, "id": item.id, "item": item.item, **_answer_item(out, item)}
@@ -52,7 +52,7 @@ def fill_checklist(out: Path, guidelines: Mapping[str, Guideline]) -> dict[str, 
 
 
 def _answer_item(out: Path, item: ChecklistItem) -> dict[str, str]:
-    """Answer one item: status and evidence."""
+    """Return status and evidence of one item."""
     if item.status != "yes":
         return {"status": item.status, "evidence": item.evidence}
     lacks = find_unmet_condition(out, item.evidence)

@@ -1,4 +1,4 @@
-"""Run time of each stage, and how it grows with the number of items."""
+"""Run time of each stage, and growth of the run time with the number of items."""
 
 from typing import Any
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from ...core.stage_timer import Timer
 
-# Smallest number of completion times from which a growth exponent is fitted.
+# Smallest number of completion times to which a growth exponent is fitted.
 _MIN_MARKS = 8
 
 
@@ -21,7 +21,8 @@ def summarise_cost(timer: Timer) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        One entry per stage: stage, seconds, made (number of items), unit, seconds_each, growth; None where unknown.
+        One entry per stage: stage, seconds, made (number of items), unit, seconds_each, growth. Unknown values are
+        None.
     """
     rows = []
     for name, stage in timer.stages.items():
@@ -33,9 +34,10 @@ def summarise_cost(timer: Timer) -> list[dict[str, Any]]:
 
 
 def fit_growth_exponent(marks: list[float]) -> float | None:
-    """Fit the exponent b of seconds = a n^b, which is 1 if each item takes the same time.
+    """Fit the exponent b in seconds = a n^b; b is 1 if each item takes the same time.
 
-    The fit is by least squares of the logarithms. The first quarter is left out, because processes are still starting.
+    The fit is a least-squares fit to the logarithms. The first quarter of the items is omitted because processes are
+    still starting.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Software and hardware that a study ran on."""
+"""Software and hardware on which a study was run."""
 
 import os
 import platform
@@ -12,7 +12,7 @@ def describe_environment() -> dict[str, Any]:
     Returns
     -------
     dict of str to Any
-        python, system, machine, cores, and packages (version by name).
+        Entries python, system, machine, cores, and packages (version of each package by name).
     """
     installed = {one.metadata["Name"]: one.version for one in distributions()}
     return {

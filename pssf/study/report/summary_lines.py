@@ -1,9 +1,10 @@
-"""Summary of the report: the main result in two sentences, and a warning if the cohort is too small."""
+"""Summary of the report: the main result in two sentences, and the reason if no claim is decided."""
 
 import pandas as pd
 
 from ..design.classification_tasks import TASKS
 from ..design.study_settings import MODELS
+from ..statistics.scores.claims import UNDECIDED
 from ..statistics.scores.tested_subjects import MIN_TEST_SUBJECTS, MIN_TEST_SUBJECTS_PER_CLASS
 
 _SCENARIO_PHRASES = {
@@ -17,19 +18,19 @@ _VERDICT_PHRASES = {"holds": "hold", "does not hold": "do not hold", "not decida
 def summarise_results(scores: pd.DataFrame, claims: pd.DataFrame) -> list[str]:
     """Summarise the range of AUC over all models for the first task, and the verdicts on the claims.
 
-    No model is chosen by its result.
+    The range over all models is given because selecting the best model by its test result would be biased.
 
     Parameters
     ----------
     scores : DataFrame
-        Table of `split_scores.summarise_scores`.
+        Table from `split_scores.summarise_scores`.
     claims : DataFrame
-        Table of `claims.evaluate_claims`.
+        Table from `claims.evaluate_claims`.
 
     Returns
     -------
     list of str
-        Sentences.
+        Sentences of the summary.
     """
     task = next((name for name in TASKS if (scores["task"] == name).any()), None)
     lines = []
@@ -44,35 +45,42 @@ def summarise_results(scores: pd.DataFrame, claims: pd.DataFrame) -> list[str]:
     return [*lines, f"Of {len(claims)} measurements of the claims of the paper, {', '.join(counted)}."]
 
 
-def format_sample_size_warning(test_subjects: tuple[int, int], rarest_class_subjects: int) -> str:
-    """Warn if the splits test too few subjects for a result.
+def explain_undecided_run(
+    claims: pd.DataFrame, subjects: int, test_subjects: tuple[int, int], rarest_class_subjects: int
+) -> str:
+    """Explain in one sentence why no claim, or no claim about a model, is decided.
 
     Parameters
     ----------
+    claims : DataFrame
+        Table from `claims.evaluate_claims`.
+    subjects : int
+        Number of subjects of the cohort.
     test_subjects : tuple of int
-        Smallest and largest number of test subjects of a split.
+        Smallest and largest number of test subjects per split.
     rarest_class_subjects : int
         Smallest number of test subjects of a class.
 
     Returns
     -------
     str
-        Warning; "" if there are enough subjects.
+        Sentence; "" if a claim is decided and there are enough test subjects.
     """
     least, most = test_subjects
+    undecided = bool((claims["verdict"] == UNDECIDED).all())
     if least >= MIN_TEST_SUBJECTS and rarest_class_subjects >= MIN_TEST_SUBJECTS_PER_CLASS:
-        return ""
+        return f"With {subjects} subjects no claim is decided; the intervals are too wide." if undecided else ""
     tested = f"{least}" if least == most else f"{least} to {most}"
+    what = "no claim" if undecided else "no claim about a model"
     return (
-        f"A split tests {tested} subjects, {rarest_class_subjects} of the rarest grade. With fewer than "
-        f"{MIN_TEST_SUBJECTS} subjects, or fewer than {MIN_TEST_SUBJECTS_PER_CLASS} of a grade, no claim is decided. "
-        "These numbers show that the software runs, but not how well grades can be predicted. Use a larger preset or "
-        "more knees."
+        f"With {subjects} subjects {what} is decided; a split has {tested} test subjects "
+        f"({rarest_class_subjects} of the rarest grade), and a decision needs {MIN_TEST_SUBJECTS} "
+        f"({MIN_TEST_SUBJECTS_PER_CLASS} of each grade)."
     )
 
 
 def _format_auc_range(scores: pd.DataFrame, scenario: str) -> str:
-    """Format the range of AUC of a scenario; "" if there is none."""
+    """Format the range of AUC in a scenario; "" without results."""
     part = scores[scores["scenario"] == scenario]
     if scenario == "multi":
         part = part[part["tested_on"] == "all"]

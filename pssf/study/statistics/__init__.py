@@ -1,1 +1,1 @@
-"""Statistics of predictions and features: estimates with 95 % intervals."""
+"""Statistics of predictions and features, with 95 % intervals."""

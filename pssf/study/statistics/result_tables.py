@@ -1,4 +1,6 @@
-"""Tables of a study, built from its predictions and features."""
+"""Result tables of a study, built from its predictions and features."""
+
+from collections.abc import Sequence
 
 import pandas as pd
 
@@ -6,7 +8,8 @@ from ...radiomics.features.feature_families import feature_family
 from ...radiomics.features.ibsi_tags import IbsiTags, find_ibsi_departure, find_ibsi_tag
 from ..design.study_settings import StudySettings
 from ..predictions import ARM_COLUMNS, SplitOutcome, concatenate_tables
-from .analyses.knee_parameters import correlate_with_parameters, extract_knee_parameters
+from ..study_data import StudyData, Tables
+from .analyses.knee_parameters import correlate_with_parameters, summarise_morphology
 from .features import localisation_error
 from .features.degenerate_features import is_degenerate
 from .features.feature_importance import average_by_feature
@@ -16,24 +19,22 @@ from .scores.confidence_intervals import compare_arms, compute_arm_intervals, co
 from .scores.split_scores import score_splits, summarise_scores
 from .scores.subgroups import score_subgroups
 
-Tables = dict[str, pd.DataFrame]
 
-
-def build_model_tables(outcomes: list[SplitOutcome], settings: StudySettings) -> Tables:
+def build_model_tables(outcomes: Sequence[SplitOutcome], settings: StudySettings) -> Tables:
     """Build the tables that describe the models.
 
     Parameters
     ----------
-    outcomes : list of SplitOutcome
-        Outcome of each split.
+    outcomes : sequence of SplitOutcome
+        Predictions and tables of each split.
     settings : StudySettings
         Settings of the study.
 
     Returns
     -------
     dict of str to DataFrame
-        subjects (part of each subject in each split), splits, scores (with intervals), differences, confusion,
-        calibration, calibration_curve, importance and permutation.
+        Tables by name: subjects (training, validation or test, for each subject and split), splits, scores (with
+        intervals), differences, confusion, calibration, calibration_curve, importance and permutation.
     """
     predictions = concatenate_tables([outcome.predictions for outcome in outcomes])
     importances = concatenate_tables([outcome.importances for outcome in outcomes])
@@ -57,38 +58,28 @@ def build_model_tables(outcomes: list[SplitOutcome], settings: StudySettings) ->
     }
 
 
-def build_feature_tables(
-    located: pd.DataFrame, retest: pd.DataFrame, names: list[str], tags: IbsiTags, settings: StudySettings
-) -> Tables:
+def build_feature_tables(study: StudyData) -> Tables:
     """Build the tables that describe the features.
 
     Parameters
     ----------
-    located : DataFrame
-        Radiographs with localisation errors, of `localisation_error.add_localisation_errors`.
-    retest : DataFrame
-        Repeat radiographs with a located region: kind, turn, knee and features.
-    names : list of str
-        Names of the features.
-    tags : dict of str to dict
-        IBSI tags of the features.
-    settings : StudySettings
-        Settings of the study.
+    study : StudyData
+        Study with measured features.
 
     Returns
     -------
     dict of str to DataFrame
-        localisation, dictionary, and reliability across protocols and across repeats, if there are any.
+        Tables by name: localisation, dictionary, and reliability (across protocols and repeat radiographs).
     """
-    usable = located[located["status"] == "found"]
+    usable, names, settings = study.usable, study.names, study.settings
     chance = {"replicates": settings.replicates, "seed": settings.seed}
     across = compute_reliability(usable, names, settings.reference, **chance)
-    if len(retest):
-        repeated = compute_repeatability(usable, retest, names, settings.reference, **chance)
+    if len(study.repeated):
+        repeated = compute_repeatability(usable, study.repeated, names, settings.reference, **chance)
         across = concatenate_tables([across, repeated]) if len(across) else repeated
     return {
-        "localisation": localisation_error.summarise_localisation(located),
-        "dictionary": build_feature_dictionary(usable, names, tags),
+        "localisation": localisation_error.summarise_localisation(study.located),
+        "dictionary": build_feature_dictionary(usable, names, study.run.tables.radiomics.tags),
         "reliability": across,
     }
 
@@ -108,8 +99,8 @@ def build_feature_dictionary(usable: pd.DataFrame, names: list[str], tags: IbsiT
     Returns
     -------
     DataFrame
-        Columns: feature, family, ibsi (IBSI tag), departure (from IBSI), degenerate ("yes" or "no"), least, median,
-        most.
+        Columns: feature, family, ibsi (IBSI tag), departure (from IBSI), degenerate ("yes" or "no"), minimum, median,
+        maximum.
     """
     rows = []
     for name in names:
@@ -121,43 +112,30 @@ def build_feature_dictionary(usable: pd.DataFrame, names: list[str], tags: IbsiT
             "departure": find_ibsi_departure(name, tags),
         }
         constant = "yes" if is_degenerate(values.to_numpy()) else "no"
-        spread = {"least": values.min(), "median": values.median(), "most": values.max()}
+        spread = {"minimum": values.min(), "median": values.median(), "maximum": values.max()}
         rows.append({**named, "degenerate": constant, **spread})
     return pd.DataFrame(rows)
 
 
-def build_truth_tables(
-    manifest: pd.DataFrame,
-    usable: pd.DataFrame,
-    names: list[str],
-    predictions: pd.DataFrame,
-    subjects: pd.DataFrame,
-    settings: StudySettings,
-) -> Tables:
+def build_truth_tables(study: StudyData) -> Tables:
     """Build the tables that compare features and predictions with the true parameters of the knees.
 
     Parameters
     ----------
-    manifest : DataFrame
-        Manifest of the cohort.
-    usable : DataFrame
-        Radiographs with a located region.
-    names : list of str
-        Names of the features.
-    predictions : DataFrame
-        Predictions of all splits.
-    subjects : DataFrame
-        Table ``subjects`` of `build_model_tables`.
-    settings : StudySettings
-        Settings of the study.
+    study : StudyData
+        Study with predictions and the table ``subjects``.
 
     Returns
     -------
     dict of str to DataFrame
-        feature_parameter_correlations and subgroups.
+        Tables by name: morphology, feature_parameter_correlations and subgroups.
     """
-    parameters = extract_knee_parameters(manifest)
+    parameters, settings = study.parameters, study.settings
+    ratio = compute_test_train_ratio(study.tables["subjects"])
     return {
-        "feature_parameter_correlations": correlate_with_parameters(usable, names, parameters, settings.reference),
-        "subgroups": score_subgroups(predictions, parameters, settings, compute_test_train_ratio(subjects)),
+        "morphology": summarise_morphology(parameters, None if study.laws is None else study.laws.grades),
+        "feature_parameter_correlations": correlate_with_parameters(
+            study.usable, study.names, parameters, settings.reference
+        ),
+        "subgroups": score_subgroups(study.predictions, parameters, settings, ratio),
     }

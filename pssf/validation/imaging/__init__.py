@@ -1,1 +1,1 @@
-"""Validation of the imaging chain: spectrum, scatter, focal spot, views, and error and run time of each stage."""
+"""Validation of the imaging chain: spectrum, scatter, focal spot and views; error and run time of each stage."""

@@ -1,4 +1,4 @@
-"""Focal-spot models: blur of the whole image compared with rays from many points of the focal spot."""
+"""Error of focal-spot models, compared with ray casting from many points of the focal spot."""
 
 from dataclasses import replace
 from time import perf_counter
@@ -22,9 +22,9 @@ _REFERENCE_POINTS_PER_SIDE = 8
 
 
 def measure_focal_spot_models(workers: int) -> list[Row]:
-    """Measure error and run time of each focal-spot model in the primary signal of the joint.
+    """Measure error and run time of each focal-spot model for the primary signal around the joint.
 
-    The image has 512 x 512 pixels of the protocol ``reference``.
+    The image is the central 512 x 512 pixels of the protocol ``reference``.
 
     Parameters
     ----------
@@ -34,9 +34,9 @@ def measure_focal_spot_models(workers: int) -> list[Row]:
     Returns
     -------
     list of dict
-        One row per focal-spot size and model. ``points`` is the number of source points per side of the spot:
-        1 is a point source without blur, ``"blur"`` is the blur model at the joint plane. ``rms``, ``p99`` and ``max``
-        are relative errors against rays from 64 points.
+        One row per focal-spot size and model. ``points`` is the number of source points along each edge of the square
+        focal spot; 1 is a point source. ``"blur"`` is the blur model at the joint plane.
+        ``rms``, ``p99`` and ``max`` are errors relative to ray casting from 64 source points.
     """
     scene, rows = build(Knee()).scene, list[Row]()
     for spot_mm in (0.6, 1.2):
@@ -64,9 +64,9 @@ def compute_blurred_primary(scene: Scene, technique: Technique, workers: int) ->
     Parameters
     ----------
     scene : Scene
-        Scene to image.
+        Scene whose primary signal is computed.
     technique : Technique
-        Resolved technique, which holds the protocol and the view.
+        Resolved technique, which includes protocol and view.
     workers : int
         Number of worker threads.
 

@@ -1,4 +1,4 @@
-"""Scatter Monte Carlo compared with an independent Monte Carlo, for water slabs and elliptic limbs."""
+"""Comparison of the Monte Carlo scatter code with independent code, for water slabs and elliptic limbs."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -18,16 +18,16 @@ from .scatter_phantoms import Row, build_limb, build_slab
 
 # Number of photons per case.
 _PHOTONS = 8_000_000
-# Side length of a scoring cell at the detector, in mm.
+# Edge length of a scoring cell at the detector, in mm.
 _CELL_MM = 10.0
 # Width and height of the field at the detector, in mm.
 _FIELD_SIZES_MM = {"slab": (300, 300), "limb": (240, 300)}
-# Cells (batch, row, column) that are averaged: the middle behind a slab, along the bone behind a limb.
+# Indices (batch, row, column) of the averaged scoring cells: central for a slab, behind the bone core for a limb.
 _MEASURED_CELLS = {"slab": np.s_[:, 12:18, 12:18], "limb": np.s_[:, 4:26, 10:14]}
 
 
 def compare_monte_carlo_with_reference(workers: int, photons: int = _PHOTONS) -> list[Row]:
-    """Compare the scatter Monte Carlo with an independent one, for every case in ``data/reference.toml``.
+    """Compare the Monte Carlo scatter code with independent Monte Carlo code, for each case in ``data/reference.toml``.
 
     Parameters
     ----------
@@ -39,10 +39,10 @@ def compare_monte_carlo_with_reference(workers: int, photons: int = _PHOTONS) ->
     Returns
     -------
     list of dict
-        One row per case. ``quantity`` is scatter over primary for a slab and scatter over open beam for a limb.
-        ``error_percent`` is one standard deviation of the value. ``difference_percent`` is the difference from the
-        reference, which has an error of 1 to 2 % of its own. ``primary_percent`` is the difference of the reference's
-        primary signal from the Beer-Lambert law, for limbs only.
+        One row per case. ``quantity`` is the ratio of scatter to primary for a slab, and of scatter to open beam for a
+        limb. ``error_percent`` is the standard error of the value. ``difference_percent`` is the difference from the
+        reference value, which has an error of 1 to 2 %. ``primary_percent``, for limbs only, is the difference between
+        the primary signal of the reference and the Beer-Lambert law.
     """
     known, known_tissues = load_reference_tables().scatter, load_tissues()
     cases = [("slab", case) for case in known.slab] + [("limb", case) for case in known.limb]
@@ -64,7 +64,7 @@ def _compare_case(
     opened = float(transmit({}, beam, technique, workers).kev[rows // 2, cols // 2])
     behind = transmit(trace(scene, protocol, workers=workers).path_mm, beam, technique, workers).kev
     read = _MEASURED_CELLS[kind]
-    # The primary signal follows the Beer-Lambert law; counted photons would add quantum noise.
+    # The primary signal is computed from the Beer-Lambert law, because counted photons would add quantum noise.
     primary = float(downsample_by_blocks(behind, counts.pixels_per_cell)[read[1:]].mean()) / opened
     scatter = counts.scatter_kev[read].sum(axis=(1, 2)) / (counts.pixels[read[1:]].sum() * opened)
     value = scatter.mean() / (primary if kind == "slab" else 1.0)

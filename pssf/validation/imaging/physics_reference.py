@@ -1,4 +1,4 @@
-"""Spectrum, attenuation, primary and scattered signal compared with reference values."""
+"""Comparison of spectrum, attenuation, primary and scattered signal with reference values."""
 
 import dataclasses
 from typing import Any
@@ -17,17 +17,17 @@ from ...xray.spectrum import compute_reduced_beam, tube_spectrum
 from .scatter_phantoms import build_limb
 
 Row = dict[str, Any]
-# Sources of the references.
+# Sources of the reference values.
 _SPEKPY = "SpekPy 2.5.4 with another energy grid"
 _MONTE_CARLO = "independent Monte Carlo, 2 %"
-# Groups of quantities, each with the source of its references.
+# Groups of quantities, each with the source of the reference values.
 _FLUENCE = ("tube fluence", _SPEKPY)
 _ENERGY = ("mean energy of the tube spectrum", _SPEKPY)
 _ATTENUATION = ("attenuation of tissues at 40 and 60 keV", "ICRU 46, xraylib")
 _PRIMARY = ("primary behind the middle of an elliptic limb", _MONTE_CARLO)
 _SCATTER = ("kernel scatter behind the same limb, air gap of 60 to 140 mm", _MONTE_CARLO)
 _NEAR_SCATTER = ("kernel scatter behind the same limb, air gap of 15 mm, below the fitted range", _MONTE_CARLO)
-# Smallest air gap, in mm, that the scatter kernel was fitted to.
+# Smallest air gap for which the scatter kernel was fitted, in mm.
 _SMALLEST_FITTED_GAP_MM = 20.0
 
 
@@ -37,8 +37,8 @@ def compare_physics_with_references() -> list[Row]:
     Returns
     -------
     list of dict
-        One row per quantity: value, reference and relative difference in percent. ``group`` names quantities that are
-        reported together; ``source`` names the origin of the reference.
+        One row per quantity: value, reference value and relative difference in percent. ``group`` is the group in which
+        the quantity is reported, and ``source`` the source of the reference value.
     """
     known, named = load_reference_tables(), load_tissues()
     rows = []
@@ -63,7 +63,7 @@ def compare_physics_with_references() -> list[Row]:
 def compute_limb_signals(kv: float, thick_mm: float, gap_mm: float) -> tuple[float, float]:
     """Compute primary and scattered signal behind the middle of an elliptic limb, relative to the open beam.
 
-    The limb is 1.2 times as wide as thick. Scatter is computed with the scatter kernel.
+    The limb is 1.2 times wider than it is thick. Scatter is computed with the scatter kernel.
 
     Parameters
     ----------
@@ -97,9 +97,9 @@ def compute_limb_signals(kv: float, thick_mm: float, gap_mm: float) -> tuple[flo
 
 
 def _ellipse_chords_mm(half_x_mm: float, half_y_mm: float, sod_mm: float) -> Array:
-    """Compute (180,) chord lengths of a long elliptic cylinder along z, in mm.
+    """Compute the chord lengths (180,) of rays through a long elliptic cylinder along z, in mm.
 
-    The rays meet one row of a detector at 1150 mm from the source.
+    The rays end at 180 pixels of 1 mm in a detector row, 1150 mm from the source.
     """
     x = np.arange(180) - 89.5
     a = (x / half_x_mm) ** 2 + (1150.0 / half_y_mm) ** 2
@@ -108,7 +108,7 @@ def _ellipse_chords_mm(half_x_mm: float, half_y_mm: float, sod_mm: float) -> Arr
 
 
 def _make_row(quantity: str, value: float, reference: float, group: str, source: str) -> Row:
-    """Make a row with value, reference and their difference in percent."""
+    """Make a table row with value, reference value and their relative difference in percent."""
     difference = round(100 * (float(value) / reference - 1), 2)
     return {
         "quantity": quantity,

@@ -1,7 +1,8 @@
-"""Criteria of positioning guides for each view, measured on simulated knees.
+"""Criteria of radiographic positioning guides for each view, measured on simulated knees.
 
 Knees are sampled from the grade table ``population``, grades 0 to 2, and positioned exactly as each protocol
-specifies, without acquisition variability. Lengths are in mm in the joint plane. Nothing is fitted to the criteria.
+specifies, without acquisition variability. Lengths are in mm in the joint plane. No parameter is fitted to the
+criteria.
 """
 
 from dataclasses import replace
@@ -27,13 +28,13 @@ from ...raycast import compute_silhouette
 from ..raycasting.raycast_engines import Row
 
 Mask = NDArray[np.bool_]
-# Length of the fibular head below its tip, in mm.
+# Length of the fibular head, measured downwards from its tip, in mm.
 _HEAD_MM = 20.0
-# Condyles of the template femur lie below this height, in mm.
+# Maximum height of the condyles of the template femur, in mm.
 _CONDYLE_MM = 20.0
-# Condyles of the template femur lie farther than this from the midline, in mm.
+# Minimum distance of the condyles of the template femur from the midline, in mm.
 _ASIDE_MM = 8.0
-# Protocols that are measured.
+# Protocols whose criteria are measured.
 _VIEWS = ("ap_standing", "rosenberg", "lateral", "skyline")
 # Bones whose silhouettes are measured.
 _BONES = ("femur", "tibia", "fibula", "patella")
@@ -80,9 +81,9 @@ def measure_knee_positioning(knee: Knee) -> dict[str, float]:
     Returns
     -------
     dict of str to float
-        Quantities by name, in the unit that the name ends with.
+        Quantities by name; the suffix of the name gives the unit.
     """
-    # On a lateral view a radiographer rotates the leg until the condyles overlap, whatever its natural rotation.
+    # For a lateral view, a radiographer rotates the leg until the condyles overlap, so the rotation of the knee is 0.
     turned = {"lateral": replace(knee, rotation_deg=0.0)}
     protocols = {name: load_protocol(name) for name in _VIEWS}
     built = {name: build(turned.get(name, knee), protocol) for name, protocol in protocols.items()}
@@ -119,7 +120,7 @@ def _project_landmarks(built: BuiltKnee, view: View) -> dict[str, Array]:
 def _measure_ap_alignment(landmarks_px: dict[str, Array], patella: Mask, view: View) -> dict[str, float]:
     """Measure the offsets of the patella and of the intercondylar eminence on an AP view.
 
-    The patella is compared with the middle of the epicondyles, the eminence with the top of the notch.
+    The patella is compared with the midpoint of the epicondyles, and the eminence with the top of the notch.
     """
     ends = landmarks_px["medial_epicondyle"][1], landmarks_px["lateral_epicondyle"][1]
     off_px = np.argwhere(patella)[:, 1].mean() - np.mean(ends)
@@ -131,13 +132,13 @@ def _measure_ap_alignment(landmarks_px: dict[str, Array], patella: Mask, view: V
 
 
 def _notch_height_mm(landmarks_px: dict[str, Array], view: View) -> float:
-    """Measure the height of the notch above the condyles, in mm in the joint plane."""
+    """Measure the height of the notch top above the distal condyles, in mm in the joint plane."""
     condyles = (landmarks_px["femur_medial_condyle"] + landmarks_px["femur_lateral_condyle"]) / 2
     return _pixels_to_joint_mm(float(condyles[0] - landmarks_px["notch_top"][0]), view)
 
 
 def _fibular_head_overlap_percent(bone_masks: dict[str, Mask], view: View) -> float:
-    """Measure the percentage of the fibular head that the tibia overlaps."""
+    """Measure the percentage of the fibular-head silhouette that overlaps the tibia."""
     rows = np.flatnonzero(bone_masks["fibula"].any(axis=1))
     head = bone_masks["fibula"].copy()
     head[rows[0] + round(_HEAD_MM * magnification(view) / view.pixel_mm) :] = False
@@ -150,11 +151,11 @@ def _clearance_mm(mask: Mask, other_mask: Mask, view: View) -> float:
 
 
 def _condyle_offset_mm(built: BuiltKnee, view: View) -> float:
-    """Measure the distance between the posterior outlines of both condyles, in mm in the joint plane."""
+    """Measure the distance between the posterior outlines of the two condyles, in mm in the joint plane."""
     assembly = built.assembly
     points = assembly.femur.mesh.vertices
     columns = project_points(assembly.orient_points(assembly.outer_femur_vertices_mm()), view)[:, 1]
-    # On a lateral view of a right knee from its medial side, posterior is on the right; a left knee is mirrored.
+    # On the lateral view of a right knee, seen from medial, posterior is on the right; a left knee is mirrored.
     back = np.sign(columns @ (points[:, 1] - points[:, 1].mean()))
     backs = [
         (back * columns[(side * points[:, 0] > _ASIDE_MM) & (points[:, 2] < _CONDYLE_MM)]).max() for side in (+1, -1)

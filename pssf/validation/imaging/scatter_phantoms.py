@@ -1,4 +1,4 @@
-"""Scatter phantoms, and the scatter kernel compared with the Monte Carlo that it was fitted to."""
+"""Scatter phantoms, and comparison of the scatter kernel with the Monte Carlo simulation to which it was fitted."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -27,8 +27,9 @@ from ...xray.spectrum import compute_beam
 
 Row = dict[str, Any]
 ScatterCase = tuple[str, float, float, float]
-# A case is object, tube voltage (kV), thickness (mm; of a knee at the joint) and air gap behind the bounding box (mm).
-# `data/scatter.toml` was fitted to the fit cases; the check cases are independent of the fit.
+# Each case lists the object, tube voltage (kV), thickness (mm; for knees, at the joint) and air gap behind the bounding
+# box (mm).
+# `data/scatter.toml` was fitted to the fit cases; the check cases were not used for the fit.
 FIT_CASES: tuple[ScatterCase, ...] = (
     ("knee", 60, 100, 20), ("knee", 60, 100, 150), ("knee", 60, 120, 30), ("knee", 60, 130, 180),
     ("knee", 60, 140, 20), ("knee", 60, 140, 150), ("knee", 65, 110, 40), ("knee", 70, 120, 20),
@@ -47,7 +48,7 @@ CHECK_CASES: tuple[ScatterCase, ...] = (
     ("bent knee", 75, 100, 30), ("bent knee", 80, 140, 60), ("limb", 60, 120, 20), ("limb", 60, 120, 110),
     ("limb", 65, 130, 90), ("limb", 70, 120, 150), ("limb", 75, 110, 100), ("limb", 80, 120, 140),
 )  # fmt: skip
-# Cases in PA projection: upright knees, and knees positioned by the protocol that the object is named after.
+# Cases in PA projection: upright knees, and knees positioned by the protocol with the name of the object.
 FIT_CASES_PA: tuple[ScatterCase, ...] = (
     ("knee from behind", 60, 100, 80), ("knee from behind", 70, 120, 30), ("knee from behind", 70, 130, 150),
     ("knee from behind", 80, 110, 60), ("fixed_flexion", 60, 100, 40), ("fixed_flexion", 60, 130, 60),
@@ -59,13 +60,13 @@ CHECK_CASES_PA: tuple[ScatterCase, ...] = (
     ("knee from behind", 70, 110, 100), ("fixed_flexion", 65, 110, 30), ("fixed_flexion", 70, 130, 60),
     ("fixed_flexion", 75, 120, 90), ("rosenberg", 65, 120, 50), ("lyon_schuss", 60, 130, 40),
 )  # fmt: skip
-# Objects that are knees positioned by the protocol of the same name.
+# Knees that are positioned by the protocol with the same name.
 _LEANING = ("fixed_flexion", "rosenberg", "lyon_schuss")
-# Objects that are symmetric from front to back.
+# Objects whose anterior and posterior halves are mirror images.
 SYMMETRIC = ("limb", "slab")
 # Height and width of the joint region at the detector, in mm.
 _JOINT_REGION_MM = (80.0, 60.0)
-# Side length of a scoring cell at the detector, in mm.
+# Edge length of a scoring cell at the detector, in mm.
 CELL_MM = 9.6
 
 
@@ -74,7 +75,7 @@ def compare_kernel_with_monte_carlo(
     workers: int = 2,
     cases: tuple[ScatterCase, ...] = (*FIT_CASES, *FIT_CASES_PA, *CHECK_CASES, *CHECK_CASES_PA),
 ) -> list[Row]:
-    """Compare scatter over open beam in the joint region between the Monte Carlo and the scatter kernel.
+    """Compare the scatter kernel with the Monte Carlo simulation in the joint region, relative to the open beam.
 
     Parameters
     ----------
@@ -83,15 +84,16 @@ def compare_kernel_with_monte_carlo(
     workers : int, default 2
         Number of worker processes.
     cases : tuple of tuple
-        Cases, each (object, tube voltage in kV, thickness in mm, air gap in mm); all fit and check cases by default.
+        Object, tube voltage in kV, thickness in mm and air gap in mm of each case. The default is all fit and check
+        cases.
 
     Returns
     -------
     list of dict
-        One row per case. ``exit_gap_mm`` is the mean central air gap of the kernel, see
-        :func:`~pssf.scatter.scatter_kernel.central_air_gap_mm`. ``error_percent`` is one standard deviation of the
-        Monte Carlo mean over the region. ``difference_percent`` is the difference of the kernel mean over the region.
-        ``worst_percent`` is the largest difference in the region after both are smoothed by 10 mm.
+        One row per case. ``exit_gap_mm`` is the mean central air gap from which the kernel is computed, see
+        :func:`~pssf.scatter.scatter_kernel.central_air_gap_mm`. ``error_percent`` is the standard error of the
+        Monte Carlo mean over the region. ``difference_percent`` is the difference between kernel mean and Monte Carlo
+        mean. ``worst_percent`` is the largest difference in the region after both scatter images are smoothed by 10 mm.
     """
     rows = []
     known_tissues = load_tissues()
@@ -116,7 +118,7 @@ def compare_kernel_with_monte_carlo(
 
 @dataclass(frozen=True, kw_only=True)
 class MonteCarloRun:
-    """Monte Carlo result of one case, and the input of the scatter kernel.
+    """Monte Carlo result of one case, and input data of the scatter kernel.
 
     Attributes
     ----------
@@ -125,7 +127,7 @@ class MonteCarloRun:
     gaps_mm : (32, 32) array
         Air gap behind the object, in mm.
     counts : PhotonTally
-        Energy that the Monte Carlo scored.
+        Energy scored by the Monte Carlo simulation.
     primary : (rows, cols) float32 array
         Primary signal in keV per pixel.
     path_mm : mapping of str to (rows, cols) float32 array
@@ -142,7 +144,7 @@ class MonteCarloRun:
 def run_monte_carlo(
     case: ScatterCase, known_tissues: Mapping[str, Tissue], photons: int, workers: int
 ) -> MonteCarloRun:
-    """Simulate one case by Monte Carlo and trace its primary signal.
+    """Simulate one case with the Monte Carlo code, and compute the primary signal by ray casting.
 
     Parameters
     ----------
@@ -158,7 +160,7 @@ def run_monte_carlo(
     Returns
     -------
     MonteCarloRun
-        Monte Carlo result and kernel input.
+        Monte Carlo result, and input data of the scatter kernel.
     """
     scene, protocol = build_case(case, known_tissues)
     technique, paths = resolve_technique(protocol), trace(scene, protocol, workers=workers).path_mm
@@ -192,9 +194,9 @@ def _compare_in_joint_region(case: ScatterCase, monte_carlo: Array, kernel: Arra
 
 
 def build_case(case: ScatterCase, known_tissues: Mapping[str, Tissue]) -> tuple[Scene, Protocol]:
-    """Build scene and protocol of a case, with 256 x 256 pixels of 1.2 mm.
+    """Build the scene and the protocol of a case, with 256 x 256 pixels of 1.2 mm.
 
-    The protocol is ``reference``, or the protocol that the object is named after.
+    If a protocol has the name of the object, this protocol is used, otherwise ``reference``.
 
     Parameters
     ----------
@@ -225,10 +227,10 @@ def build_case(case: ScatterCase, known_tissues: Mapping[str, Tissue]) -> tuple[
 
 
 def build_limb(thick_mm: float, known_tissues: Mapping[str, Tissue]) -> Scene:
-    """Build a long elliptic limb of soft tissue with a core of bone, 1.2 times as wide as thick.
+    """Build a long elliptic limb of soft tissue with a bone core; the limb is 1.2 times wider than thick.
 
-    Soft tissue is 70 % muscle and 30 % fat by volume. The core is 17 % cortical bone and 83 % marrow. It has 0.6 of the
-    width and 0.45 of the thickness of the limb.
+    Soft tissue is 70 % muscle and 30 % fat by volume. The core is 17 % cortical bone and 83 % marrow. The core
+    is 0.6 times as wide and 0.45 times as thick as the limb.
 
     Parameters
     ----------
@@ -249,14 +251,14 @@ def build_limb(thick_mm: float, known_tissues: Mapping[str, Tissue]) -> Scene:
 
 
 def build_slab(thick_mm: float, side_mm: float = 440.0) -> Scene:
-    """Build a square slab of water across the beam.
+    """Build a square water slab perpendicular to the beam.
 
     Parameters
     ----------
     thick_mm : float
         Thickness along the beam, in mm.
     side_mm : float, default 440.0
-        Side length, in mm.
+        Edge length perpendicular to the beam, in mm.
 
     Returns
     -------
@@ -293,7 +295,7 @@ def mix_tissues(volumes: Mapping[str, float], known_tissues: Mapping[str, Tissue
 
 
 def _make_cylinder(half_x_mm: float, half_y_mm: float) -> trimesh.Trimesh:
-    """Make an upright elliptic cylinder of 420 mm length, a polygon of 192 sides with the area of the ellipse."""
+    """Make an upright elliptic cylinder, 420 mm long; its section is a 192-gon with the area of the ellipse."""
     sides = 192
     same_area = np.sqrt(2 * np.pi / sides / np.sin(2 * np.pi / sides))
     mesh = trimesh.creation.cylinder(radius=1.0, height=420.0, sections=sides)

@@ -19,15 +19,18 @@ from .focal_spot_error import compute_blurred_primary
 from .scatter_phantoms import ScatterCase, compare_kernel_with_monte_carlo
 from .stage_times import measure_spectrum_nodes
 
+# Number of timed runs; the fastest is reported.
 _RUNS = 3
+# Number of photons of the Monte Carlo simulation with which the scatter kernel is compared.
 _PHOTONS = 4_000_000
+# Case of the comparison: object, tube voltage in kV, thickness in mm and air gap in mm.
 _SCATTER_CASES: tuple[ScatterCase, ...] = (("knee", 70, 120, 82),)
 
 
 def measure_imaging_chain(workers: int) -> list[Row]:
-    """Measure run time and error of each stage of ``simulate`` with both engines.
+    """Measure run time and error of each stage of ``simulate`` with each ray-casting engine.
 
-    The knee is built beforehand. Errors are measured as listed in :func:`_make_error_measures`.
+    The run time excludes building the knee. :func:`_make_error_measures` lists the error measures.
 
     Parameters
     ----------
@@ -37,8 +40,9 @@ def measure_imaging_chain(workers: int) -> list[Row]:
     Returns
     -------
     list of dict
-        One row per stage. ``*_seconds`` and ``*_share`` are run time and its fraction of the total for each engine,
-        best of three runs. ``error`` is the error and ``error_of`` describes it.
+        One row per stage. ``*_seconds`` is the run time of the stage in the fastest of three runs, for each engine.
+        ``*_time_fraction`` is the fraction of the total run time. ``error`` is the error of the stage, and ``error_of``
+        describes the error measure.
     """
     built, technique = build(Knee()), resolve_technique(load_protocol("reference"))
     timed = {
@@ -50,7 +54,8 @@ def measure_imaging_chain(workers: int) -> list[Row]:
         row: Row = {"stage": stage}
         for engine, seconds in timed.items():
             whole = sum(part for name, part in seconds.items() if name != "anatomy")
-            row |= {f"{engine}_seconds": round(seconds[stage], 3), f"{engine}_share": round(seconds[stage] / whole, 3)}
+            row[f"{engine}_seconds"] = round(seconds[stage], 3)
+            row[f"{engine}_time_fraction"] = round(seconds[stage] / whole, 3)
         what, error = errors.get(stage, ("", lambda: None))
         value = error()
         rows.append({**row, "error": "" if value is None else float(f"{value:.2g}"), "error_of": what})
@@ -66,7 +71,7 @@ def _measure_stage_seconds(built: BuiltKnee, protocol: Protocol, engine: str, wo
 def _make_error_measures(
     scene: Scene, technique: Technique, workers: int
 ) -> dict[str, tuple[str, Callable[[], float]]]:
-    """Map each stage to a description of its error and a function that measures it."""
+    """Make a dictionary from stage to the description of the error measure and the function that measures the error."""
     joint = technique.replace_protocol(rows=512, cols=512)
 
     def rays() -> float:

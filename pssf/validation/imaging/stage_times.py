@@ -1,4 +1,4 @@
-"""Run time of the stages of ``simulate``, cold and warm, and of the attenuation by number of spectrum energies."""
+"""Run time of each stage of ``simulate`` in first and later runs, and of the attenuation by number of energies."""
 
 import json
 import os
@@ -23,7 +23,7 @@ from ..raycasting.raycast_engines import Row, peak_memory_mb
 
 
 def measure_spectrum_nodes(tolerances: tuple[float, ...] = (1e-1, 1e-2, 3e-3, 1e-3, 5e-4, 1e-4, 1e-5)) -> list[Row]:
-    """Measure error and run time of the attenuation of a knee against the tolerance of the reduced spectrum.
+    """Measure error and run time of the attenuation of a knee for several tolerances of the reduced spectrum.
 
     Parameters
     ----------
@@ -34,8 +34,8 @@ def measure_spectrum_nodes(tolerances: tuple[float, ...] = (1e-1, 1e-2, 3e-3, 1e
     -------
     list of dict
         One row per tolerance, for the protocol ``reference``. ``nodes`` is the number of energies.
-        ``max_relative_error`` is the largest relative error of the signal of any pixel, against bins of 0.5 keV.
-        ``seconds`` is the time of the attenuation of 2048 x 2048 pixels, best of three runs.
+        ``max_relative_error`` is the largest relative error of the signal of a pixel, compared with energy bins of 0.5
+        keV. ``seconds`` is the run time of the attenuation of 2048 x 2048 pixels, fastest of three runs.
     """
     protocol = load_protocol("reference")
     technique = resolve_technique(protocol)
@@ -60,7 +60,7 @@ def measure_spectrum_nodes(tolerances: tuple[float, ...] = (1e-1, 1e-2, 3e-3, 1e
 def measure_cold_and_warm_runs(workers: int) -> list[Row]:
     """Measure run time and peak memory of ``simulate`` in the first run after installation and in later runs.
 
-    Each engine runs in its own processes with the full knee and the protocol ``reference``.
+    Each engine runs in new processes, with the default knee and the protocol ``reference``.
 
     Parameters
     ----------
@@ -74,10 +74,10 @@ def measure_cold_and_warm_runs(workers: int) -> list[Row]:
 
     Notes
     -----
-    The ``cold`` run starts with empty caches of compiled code, bytecode and spectra, and fills them. Its memory
-    excludes the process that compiles code in parallel. The ``first`` run is a new process that loads libraries and
-    these caches. The ``second`` run shows the cost of one more radiograph in the same process. Bytecode is written
-    even if ``PYTHONDONTWRITEBYTECODE`` is set; otherwise each process would compile every module again.
+    The ``cold`` run starts with empty caches of compiled code, bytecode and spectra, and fills the caches. Its peak
+    memory excludes the process that compiles code in parallel. The ``first`` run is in a new process, which loads
+    libraries and filled caches. The ``second`` run simulates another radiograph in the same process. Bytecode is
+    written even if ``PYTHONDONTWRITEBYTECODE`` is set, because otherwise each process would compile every module.
     """
     rows = []
     for engine in ("embree", "scanline"):
@@ -88,15 +88,15 @@ def measure_cold_and_warm_runs(workers: int) -> list[Row]:
 
 
 def _make_cache_environment(folder: Path) -> dict[str, str]:
-    """Copy the environment with all caches moved into a folder."""
+    """Copy the environment variables, and set all cache folders to subfolders of a folder."""
     kept = {"NUMBA_CACHE_DIR": "numba", "PSSF_CACHE_DIR": "pssf", "PYTHONPYCACHEPREFIX": "bytecode"}
     others = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
     return others | {name: str(folder / below) for name, below in kept.items()}
 
 
 def _run_in_new_process(engine: str, workers: int, runs: tuple[str, ...], folder: Path) -> list[Row]:
-    """Time runs in a new Python process and return its rows."""
-    # A process pool would pass on interpreter options of this process, such as not to write bytecode.
+    """Time runs in a new Python process; return the table rows."""
+    # A process pool is not used, because its processes inherit interpreter options such as -B (write no bytecode).
     code = f"from {__name__} import print_runs; print_runs({engine!r}, {workers}, {runs!r})"
     done = subprocess.run(
         build_python_command(code), env=_make_cache_environment(folder), stdout=subprocess.PIPE, text=True, check=True
@@ -106,7 +106,7 @@ def _run_in_new_process(engine: str, workers: int, runs: tuple[str, ...], folder
 
 
 def print_runs(engine: str, workers: int, runs: tuple[str, ...]) -> None:
-    """Time runs in this process and print their rows as JSON.
+    """Time runs in this process and print the table rows as JSON.
 
     Parameters
     ----------
@@ -115,7 +115,7 @@ def print_runs(engine: str, workers: int, runs: tuple[str, ...]) -> None:
     workers : int
         Number of worker threads.
     runs : tuple of str
-        Name of each run.
+        Names of the runs, in order of execution.
     """
     print(json.dumps(_time_runs(engine, workers, runs)))
 

@@ -1,8 +1,8 @@
 """Effects of beam angle and leg rotation on radiographs of simulated knees, compared with published values.
 
 Knees are sampled from the grade table ``population``, grades 0 to 2, with one sampled acquisition each. The mean
-plateau slope in ``grades/population.toml`` was chosen to give the plateau margins of patients in fixed flexion.
-Nothing else is fitted to the references.
+plateau slope in ``grades/population.toml`` was chosen to reproduce the plateau margins of patients in fixed flexion.
+No other parameter is fitted to the reference values.
 """
 
 from dataclasses import replace
@@ -29,26 +29,27 @@ from ...model.sampling.acquisition import sample_acquisition
 from ...model.sampling.knee_sampling import sample_knee
 from ..raycasting.raycast_engines import Row
 
-# Plateau margins closer than this, in mm, count as aligned (assumed; the abstract of the source gives no bound).
+# Largest distance between anterior and posterior plateau margin that is called aligned, in mm (assumed; the abstract of
+# the source gives no limit).
 ALIGNED_MARGIN_MM = 1.5
-# Caudal beam angle, in degrees, of the acquisition with a fixed angle.
+# Caudal beam angle of the acquisition with a fixed beam angle, in degrees.
 _FIXED_BEAM_DEG = 11.0
-# A reader's tangent, at this angle to the horizontal in degrees, touches the anterior and the posterior plateau edge.
+# Angle between the horizontal and the tangents that define the anterior and posterior plateau edges, in degrees.
 _TOUCH_DEG = 30.0
-# The medial plateau lies above this height of the tibia, in mm.
+# Minimum height of the points of the medial plateau in the frame of the tibia, in mm.
 _ABOVE_MM = -30.0
-# Inner limit of the medial plateau, as a fraction of the half width of the tibia.
+# Inner limit of the medial plateau, as a fraction of half the tibial width from the midline.
 _INNER = 0.36
-# Outer limit of the medial plateau, as a fraction of the half width of the tibia.
+# Outer limit of the medial plateau, as a fraction of half the tibial width from the midline.
 _OUTER = 0.85
-# The sources leave some definitions open, so alternative definitions are compared with the same reference.
-# Wider bound of aligned plateau margins, in mm.
+# The sources do not define all quantities exactly, so alternative definitions are compared with the same reference.
+# Alternative largest distance between aligned plateau margins, in mm.
 _WIDER_MM = 2.5
-# Factor by which the beam angle error of an acquisition is enlarged.
+# Factor by which the beam-angle error of an acquisition is enlarged in the alternative definition.
 _MISSED_BY = 1.6
-# Heights of the tibia, in mm, between which the projected shaft defines an axis.
+# Heights in the frame of the tibia of the two shaft bands that define a projected shaft axis, in mm.
 _AXES_MM = (-120.0, -60.0)
-# Half height of the band of the shaft at each of these heights, in mm.
+# Half height of a shaft band, in mm.
 _BAND_MM = 6.0
 _ALTERNATIVE_DEFINITIONS = {
     "inter_margin_missed_by_more_mm": "inter_margin_lyon_schuss_mm",
@@ -73,8 +74,8 @@ def compare_views_with_literature(count: int, workers: int) -> list[Row]:
     Returns
     -------
     list of dict
-        One row per quantity: mean, standard deviation, reference, and ``off``, the difference of the mean from the
-        reference or from the nearer end of its range.
+        One row per quantity: mean, standard deviation, reference value or range, and ``off``. ``off`` is the difference
+        between the mean and the reference value or the nearer end of the reference range.
     """
     knees = [sample_knee(grade=k % 3, rng=np.random.default_rng(k), grade_table="population") for k in range(count)]
     shared = {"tables": load_anatomy_tables(), "range_deg": beam_angle_range_deg()}
@@ -91,7 +92,7 @@ def compare_views_with_literature(count: int, workers: int) -> list[Row]:
 
 
 def _compare_quantity(name: str, reference: ReferenceValue, measured: tuple[float, float], count: int) -> Row:
-    """Compare the mean and standard deviation in `measured` with a reference value or range."""
+    """Compare the measured mean and standard deviation of a quantity with a reference value or range."""
     mean, sd = measured
     low, high = reference.range or (reference.value, reference.value)
     assert low is not None
@@ -110,12 +111,12 @@ def _compare_quantity(name: str, reference: ReferenceValue, measured: tuple[floa
 def measure_knee_on_views(numbered_knee: tuple[int, Knee], tables: AnatomyTables, range_deg: Pair) -> dict[str, float]:
     """Measure view-dependent quantities of one knee.
 
-    Distances and changes are absolute values, as readers report them.
+    Distances and changes are absolute values, as in the publications.
 
     Parameters
     ----------
     numbered_knee : tuple of (int, Knee)
-        Number of the knee, which seeds its acquisitions, and the knee.
+        Number of the knee, which is the seed of its acquisitions, and the knee.
     tables : AnatomyTables
         Anatomy tables.
     range_deg : tuple of float
@@ -124,7 +125,7 @@ def measure_knee_on_views(numbered_knee: tuple[int, Knee], tables: AnatomyTables
     Returns
     -------
     dict of str to float
-        Quantities by name, in the unit that the name ends with.
+        Quantities by name; the suffix of the name gives the unit.
     """
     number, knee = numbered_knee
     rng = np.random.default_rng([number, 1])
@@ -148,7 +149,7 @@ def measure_knee_on_views(numbered_knee: tuple[int, Knee], tables: AnatomyTables
         "aligned_at_11_deg_percent": 100.0 * (apart_mm <= ALIGNED_MARGIN_MM),
         "aligned_within_more_percent": 100.0 * (apart_mm <= _WIDER_MM),
     }
-    # On a lateral view a radiographer rotates the leg until the condyles overlap, whatever its natural rotation.
+    # For a lateral view, a radiographer rotates the leg until the condyles overlap, so the rotation of the knee is 0.
     turned = replace(knee, rotation_deg=0.0)
     return measured | _measure_slopes(turned, tables) | _measure_sulcus_angle(turned, tables)
 
@@ -166,7 +167,7 @@ def _measure_slopes(knee: Knee, tables: AnatomyTables) -> dict[str, float]:
     slopes = {
         axis: [medial_plateau_slope_deg(one, own, axis) for one in turned] for axis in ("bone", "outline", "front")
     }
-    # The sources report the size of the change, whatever its sign.
+    # The sources report the absolute change.
     per_degree = {axis: abs(float(np.polyfit(LEG_ROTATIONS_DEG, read, 1)[0])) for axis, read in slopes.items()}
     return {
         "slope_on_lateral_deg": slopes["bone"][LEG_ROTATIONS_DEG.index(0.0)],
@@ -179,17 +180,17 @@ def _measure_slopes(knee: Knee, tables: AnatomyTables) -> dict[str, float]:
 def medial_plateau_slope_deg(assembly: KneeAssembly, tibia: Mesh, axis: str = "bone") -> float:
     """Measure the posterior slope of the medial plateau on a lateral view.
 
-    The slope is that of the line between the two points that a reader's tangents touch.
+    The slope is measured on the line through the anterior and posterior plateau edge, which are found by tangents.
 
     Parameters
     ----------
     assembly : KneeAssembly
-        Knee in its posture.
+        Knee assembled in its posture.
     tibia : Mesh
-        Outer surface of the tibia in its own frame, in mm.
+        Outer surface of the tibia in the frame of the tibia, in mm.
     axis : {"bone", "outline", "front"}, default "bone"
-        Shaft axis that the slope refers to. ``"bone"`` is the anatomical axis. ``"outline"`` passes through the middles
-        and ``"front"`` through the anterior edge of the projected shaft.
+        Shaft axis relative to which the slope is measured. ``"bone"`` is the anatomical axis. ``"outline"`` is the
+        midline and ``"front"`` the anterior edge of the projected shaft.
 
     Returns
     -------
@@ -220,9 +221,9 @@ def medial_plateau_slope_deg(assembly: KneeAssembly, tibia: Mesh, axis: str = "b
 
 
 def _shaft_point_px(outline: Array, backward: Array, axis: str) -> Array:
-    """Return the (2,) anterior point of a projected (n, 2) shaft band, or its middle, in px.
+    """Return the anterior point or the middle (2,) of a projected shaft band (n, 2), in px.
 
-    The middle lies half way between the anterior and the posterior point.
+    The middle is the midpoint of the anterior and the posterior point.
     """
     across = outline @ backward
     front, rear = outline[across.argmin()], outline[across.argmax()]
@@ -230,9 +231,9 @@ def _shaft_point_px(outline: Array, backward: Array, axis: str) -> Array:
 
 
 def _shaft_directions(ends: Array, mirror: float) -> tuple[Array, Array]:
-    """Return unit vectors along the shaft and in posterior direction on the radiograph.
+    """Return unit vectors in proximal direction along the shaft and in posterior direction on the radiograph.
 
-    `ends` holds a lower and an upper point (2, 2), in px.
+    `ends` contains a lower and an upper point of the shaft, (2, 2), in px.
     """
     up = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
     return up, np.array([up[1], -up[0]]) * mirror

@@ -1,4 +1,4 @@
-"""Scatter kernel compared with the Monte Carlo in each view."""
+"""Comparison of the scatter kernel with the Monte Carlo simulation in each view."""
 
 from dataclasses import replace
 
@@ -21,41 +21,41 @@ from ..raycasting.raycast_engines import Row
 VIEWS = ("ap_standing", "fixed_flexion", "lyon_schuss", "rosenberg", "lateral", "skyline", "bilateral")
 # Number of photons per view.
 _PHOTONS = 4_000_000
-# Pixel size of the comparison, in mm.
+# Pixel size of the compared images, in mm.
 _PIXEL_MM = 1.2
-# Side length of a cell, in pixels.
+# Edge length of a cell over which scatter is averaged, in pixels.
 _CELL = 8
 # Half height and half width of the joint region at the detector, in mm.
 _REGION_MM = (40.0, 30.0)
-# A cell belongs to the limb if its mean path in muscle exceeds this length, in mm.
+# Minimum mean path length in muscle of a cell that belongs to the limb, in mm.
 _MIN_MUSCLE_MM = 20.0
 
 
 def compare_scatter_by_view(workers: int = 2, views: tuple[str, ...] = VIEWS, photons: int = _PHOTONS) -> list[Row]:
-    """Compare the scatter kernel with the Monte Carlo for the average knee in each view.
+    """Compare the scatter kernel with the Monte Carlo simulation for the average knee in each view.
 
     Parameters
     ----------
     workers : int, default 2
         Number of worker processes.
     views : tuple of str
-        Names of protocols.
+        Names of the protocols to compare.
     photons : int, default 4_000_000
         Number of photons per view.
 
     Returns
     -------
     list of dict
-        One row per view. ``off_percent`` is kernel minus Monte Carlo in the region of 80 x 60 mm about the joint.
-        ``off_signal_percent`` is the same difference relative to the whole signal (primary and scatter).
-        ``cell_percent`` is the largest difference in any cell of 10 mm within the limb.
-        ``exit_gap_mm`` is the mean central air gap of the kernel.
+        One row per view. ``off_percent`` is the relative difference between kernel and Monte Carlo scatter in a region
+        of 80 x 60 mm around the joint. ``off_signal_percent`` is the same difference relative to the total signal
+        (primary and scatter). ``cell_percent`` is the largest relative difference in a cell of 10 mm within the limb.
+        ``exit_gap_mm`` is the mean central air gap from which the kernel is computed.
     """
     return [_compare_view(name, photons, workers) for name in views]
 
 
 def _compare_view(name: str, photons: int, workers: int) -> Row:
-    """Simulate one view with the kernel and with the Monte Carlo and compare their scatter."""
+    """Simulate one view with the scatter kernel and with the Monte Carlo code, and compare the scatter."""
     protocol = load_protocol(name)
     factor = _PIXEL_MM / protocol.pixel_mm
     protocol = replace(
@@ -93,6 +93,6 @@ def _compare_view(name: str, photons: int, workers: int) -> Row:
 
 
 def _locate_joint_px(built: BuiltKnee | BuiltPair, protocol: Protocol) -> tuple[float, float]:
-    """Return row and column of the joint that the view shows, in pixels."""
+    """Return row and column of the imaged joint (sulcus on a skyline view), in pixels."""
     truth = built.truths(protocol)[0] if isinstance(built, BuiltPair) else built.truth(protocol)
     return truth.landmarks_px["sulcus" if "sulcus" in truth.landmarks_px else "joint_centre"]

@@ -1,4 +1,4 @@
-"""Build success of random knees, half sampled from the grade tables and half from wide adult ranges."""
+"""Build success of random knees: half are sampled from the grade tables, half from wide ranges of adults."""
 
 from collections.abc import Callable
 from time import perf_counter
@@ -19,7 +19,7 @@ from ...model.sampling.knee_sampling import sample_knee
 from ...raycast import trace
 from ..raycasting.raycast_engines import Row
 
-# Uniform ranges of the wide-range knees: the widest values that a grade allows and that adults have.
+# Uniform ranges of wide-range knees: the widest ranges that occur in adults and that the grades allow.
 _UNIFORM_RANGES = {
     "stature_mm": (1450.0, 2000.0),
     "jsw_medial_mm": (2.5, 5.5),
@@ -42,17 +42,17 @@ _UNIFORM_RANGES = {
     "patellar_tilt_deg": (-8.0, 14.0),
     "fabella_mm": (4.0, 14.0),
 }
-# Grade tables of the other half of the knees; their grades are used in turn.
+# Grade tables from which half of the knees are sampled, with cyclically assigned grades.
 _GRADE_TABLES = ("paper", "population")
-# Score of every shape mode in a wide-range knee, in standard deviations; its sign is random.
+# Absolute score of each shape mode in a wide-range knee, in standard deviations; the sign is random.
 _SHAPE_SD = 3.0
 
 
 def measure_knee_builds(count: int, workers: int, progress: Callable[[str], None] = lambda line: None) -> list[Row]:
-    """Build random knees and count successes, failures, label errors and surface faults.
+    """Build random knees; report successes, failures, label errors and self-intersecting surfaces.
 
-    A built knee has valid solids, nested shells and bones that do not touch; otherwise ``build`` raises
-    InputError. Odd knees are sampled by grade table, even knees by :func:`sample_wide_range_knee`.
+    ``build`` raises InputError unless solids are valid, shells are nested and bones do not touch. Odd knees are
+    sampled from the grade tables, even knees by :func:`sample_wide_range_knee`.
 
     Parameters
     ----------
@@ -61,20 +61,20 @@ def measure_knee_builds(count: int, workers: int, progress: Callable[[str], None
     workers : int
         Number of worker processes.
     progress : callable
-        Called with a line of text for each failure and after each tenth of the knees.
+        Function called with a line of text for each failure and after each tenth of the knees.
 
     Returns
     -------
     list of dict
-        One row. ``knees``, ``built`` and ``refused`` are counts; ``first_refusal`` is the first error message.
-        ``jsw_error_mm`` is the largest joint space error, of knee ``jsw_error_knee``.
-        ``least_path_mm`` is the smallest path length in any material along any ray, of knee ``least_path_knee``.
-        It is 0 unless a surface folds over itself. ``least_triangles``, ``most_triangles`` and ``median_seconds``
-        describe the built knees.
+        One row. ``knees``, ``built`` and ``failed`` are counts; ``first_error`` is the first error message.
+        ``jsw_error_mm`` is the largest error of joint space width, which occurs in knee ``jsw_error_knee``.
+        ``min_path_mm`` is the smallest path length of a ray in a material, which occurs in knee ``min_path_knee``. It
+        is negative if a surface intersects itself, else 0. ``min_triangles``, ``max_triangles`` and
+        ``median_seconds`` are numbers of triangles and build time of the built knees.
 
     Notes
     -----
-    Rays are traced under the protocol in which joint space width is defined and under ``geometry_shift``.
+    Rays are traced under the protocol that defines joint space width, and under ``geometry_shift``.
     """
     drawn = tuple((table, grade) for table in _GRADE_TABLES for grade in load_grade_table(table).grades)
     attempts = map_in_parallel(
@@ -84,32 +84,32 @@ def measure_knee_builds(count: int, workers: int, progress: Callable[[str], None
         workers=workers,
         on_result=_make_progress_callback(count, progress),
     )
-    refused = [f"knee {number}: {one['refused']}" for number, one in enumerate(attempts) if one["refused"]]
-    built = {number: one for number, one in enumerate(attempts) if not one["refused"]}
+    errors = [f"knee {number}: {one['error']}" for number, one in enumerate(attempts) if one["error"]]
+    built = {number: one for number, one in enumerate(attempts) if not one["error"]}
     triangles = [one["triangles"] for one in built.values()]
     error, off = max((one["jsw_error_mm"], number) for number, one in built.items())
-    least, where = min((one["least_path_mm"], number) for number, one in built.items())
+    least, where = min((one["min_path_mm"], number) for number, one in built.items())
     return [{
-        "knees": count, "built": len(built), "refused": len(refused), "first_refusal": (refused or [""])[0],
+        "knees": count, "built": len(built), "failed": len(errors), "first_error": (errors or [""])[0],
         "jsw_error_mm": float(f"{error:.2g}"), "jsw_error_knee": off,
-        "least_path_mm": float(f"{least:.2g}"), "least_path_knee": where if least < 0 else "",
-        "least_triangles": min(triangles), "most_triangles": max(triangles),
+        "min_path_mm": float(f"{least:.2g}"), "min_path_knee": where if least < 0 else "",
+        "min_triangles": min(triangles), "max_triangles": max(triangles),
         "median_seconds": round(float(np.median([one["seconds"] for one in built.values()])), 2),
     }]  # fmt: skip
 
 
 def _make_progress_callback(count: int, progress: Callable[[str], None]) -> Callable[[int, Row], None]:
-    """Make a callback that reports each failure and each tenth of the knees."""
-    done = refused = 0
+    """Make a callback that reports each failed knee and the progress after each tenth of the knees."""
+    done = failed = 0
 
     def arrived(number: int, one: Row) -> None:
-        nonlocal done, refused
+        nonlocal done, failed
         done += 1
-        if one["refused"]:
-            refused += 1
-            progress(f"builds: knee {number} could not be built: {one['refused']}")
+        if one["error"]:
+            failed += 1
+            progress(f"builds: knee {number} could not be built: {one['error']}")
         if done * 10 // count > (done - 1) * 10 // count:
-            progress(f"builds: {done} of {count} knees, {refused} could not be built")
+            progress(f"builds: {done} of {count} knees, {failed} could not be built")
 
     return arrived
 
@@ -124,33 +124,33 @@ def _build_random_knee(number: int, grade_choices: tuple[tuple[str, int], ...], 
     try:
         built = build(knee, protocol)
     except InputError as error:
-        return {"refused": str(error)}
+        return {"error": str(error)}
     seconds = perf_counter() - start
     spaces = built.measure_jsw_mm(protocol)
     return {
-        "refused": "",
+        "error": "",
         "jsw_error_mm": max(abs(spaces[0] - knee.jsw_medial_mm), abs(spaces[1] - knee.jsw_lateral_mm)),
-        "least_path_mm": min(_least_path_mm(built.scene, name) for name in (protocol.name, "geometry_shift")),
+        "min_path_mm": min(_least_path_mm(built.scene, name) for name in (protocol.name, "geometry_shift")),
         "triangles": sum(len(surface.mesh.faces) for surface in built.scene.surfaces),
         "seconds": seconds,
     }
 
 
 def _least_path_mm(scene: Scene, protocol: str) -> float:
-    """Return the smallest path length of any ray in any material, in mm."""
+    """Return the smallest path length of a ray in a material, over all rays and materials, in mm."""
     paths = trace(scene, load_protocol(protocol), engine="scanline", precision="float64", texture=False, workers=1)
     return min(float(lengths.min()) for lengths in paths.path_mm.values())
 
 
 def sample_wide_range_knee(rng: np.random.Generator, modes: int) -> Knee:
-    """Sample a knee uniformly from wide adult ranges, with every shape mode at one end of its range.
+    """Sample a knee uniformly from wide ranges of adults, with each shape mode at -3 or +3 standard deviations.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Source of random numbers.
     modes : int
-        Number of shape modes; each is set to -3 or +3 standard deviations.
+        Number of shape modes.
 
     Returns
     -------

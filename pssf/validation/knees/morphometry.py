@@ -1,4 +1,4 @@
-"""Bone sizes of simulated knees compared with published sizes, and errors of the knee labels."""
+"""Comparison of bone sizes of simulated knees with published sizes, and errors of the knee labels."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -21,21 +21,21 @@ Sizes = dict[str, float]
 
 
 def compare_sizes_with_literature(count: int, workers: int) -> list[Row]:
-    """Compare bone sizes of sampled knees with published sizes, and measure the errors of their labels.
+    """Compare bone sizes of sampled knees with published sizes, and measure the errors of the knee labels.
 
     Parameters
     ----------
     count : int
-        Number of knees, with grades 0 to 2 in turn.
+        Number of knees; successive knees have grades 0, 1, 2, 0 and so on.
     workers : int
         Number of worker processes.
 
     Returns
     -------
     list of dict
-        One row per quantity, and per sex for sizes. ``off_sd`` is the mean minus the reference, divided by the
-        standard deviation of the reference. ``people`` is the size measured in the same way on patient bones,
-        scaled to the plateau width of the reference, in mm. Label errors are the largest absolute error of all knees.
+        One row per quantity, and per sex for sizes. ``off_sd`` is the mean minus the reference mean, divided by the
+        reference standard deviation. ``patients`` is the size measured in the same way on patient bones, scaled to the
+        reference plateau width, in mm. Label errors are the largest absolute errors of all knees.
     """
     knees = [sample_knee(grade=k % 3, rng=np.random.default_rng(k), grade_table="paper") for k in range(count)]
     sizes = map_in_parallel(measure_knee_sizes, knees, shared={}, workers=workers)
@@ -50,7 +50,7 @@ def compare_sizes_with_literature(count: int, workers: int) -> list[Row]:
             size = getattr(known, sex)
             if size is None:
                 continue
-            # A small sample may hold no knee of one sex, and a single knee has no standard deviation.
+            # A small sample may contain no knee of a sex, and one knee has no standard deviation.
             values = np.array([one[name] for one, knee in zip(sizes, knees, strict=True) if sex in (knee.sex, "both")])
             if len(values) == 0:
                 continue
@@ -60,13 +60,13 @@ def compare_sizes_with_literature(count: int, workers: int) -> list[Row]:
                 "quantity": name, "sex": sex, "value": round(float(values.mean()), 2),
                 "sd": spread, "knees": len(values), "reference": mean,
                 "reference_sd": sd, "off_sd": round(float(values.mean() - mean) / sd, 2),
-                "people": _scale_patient_size(known, sex, plateau), "source": known.source,
+                "patients": _scale_patient_size(known, sex, plateau), "source": known.source,
             })  # fmt: skip
     return [{name: row.get(name, "") for name in rows[-1]} for row in rows]
 
 
 def _scale_patient_size(known: ReferenceSize, sex: str, plateau: ReferenceSize) -> float | str:
-    """Scale a size of patient bones to the mean plateau width of a sex, or of both; return "" if none was measured."""
+    """Scale a size of patient bones to the mean reference plateau width of a sex; return "" if it was not measured."""
     wide = [getattr(plateau, name)[0] for name in ("male", "female") if sex in (name, "both")]
     return "" if known.patient_width_ratio is None else round(known.patient_width_ratio * float(np.mean(wide)), 1)
 
@@ -77,7 +77,7 @@ def measure_knee_sizes(knee: Knee) -> Sizes:
     Parameters
     ----------
     knee : Knee
-        Knee to build. Sizes are measured without osteophytes, rotation and flexion, on a right knee.
+        Knee to build. Sizes are measured on a right knee without osteophytes, rotation and flexion.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def measure_knee_sizes(knee: Knee) -> Sizes:
         Sizes in mm and angles in degrees by name, and the signed errors of three labels (``error of ...``).
     """
     spaces = build(knee).measure_jsw_mm(load_protocol("reference"))
-    # Published sizes are of dry bones: osteophytes are removed and each bone is moved back into its own frame.
+    # Published sizes are of dry bones, so osteophytes are removed and each bone is transformed to its own frame.
     bare = replace(knee, osteophytes=(), grade=None, grade_table=None, rotation_deg=0.0, flexion_deg=0.0, side="right")
     built, meshes = build(bare), dict[str, trimesh.Trimesh]()
     for name, bone in built.bones.items():
@@ -106,19 +106,19 @@ def measure_knee_sizes(knee: Knee) -> Sizes:
 
 
 def _measure_femur(meshes: Mapping[str, trimesh.Trimesh], assembly: KneeAssembly) -> Sizes:
-    """Measure the femur, in mm, with z = 0 at the distal end of the condyles."""
+    """Measure sizes of the femur, in mm; z = 0 is the distal end of the condyles."""
     bone, marrow = (
         _undo_transform(meshes[name], assembly.pose.femur_transform()) for name in ("femur", "femur_trabecular")
     )
     s, points = assembly.bone_parameters.scale, bone.vertices
     condyles = points[points[:, 2] < 45 * s]
-    # The notch is measured in a frontal plane, one fifth of the condylar depth in front of their posterior end.
+    # The notch is measured in a frontal plane, one fifth of the condylar depth anterior to the posterior condylar edge.
     behind = condyles[:, 1].max() - 0.2 * np.ptp(condyles[:, 1])
-    # The width of a condyle extends from its epicondyle to the innermost point of its notch wall.
+    # The width of a condyle is measured from the epicondyle to the innermost point of the notch wall.
     lines = [_intersect_line(bone, 0, y, z) for y in np.linspace(0.0, behind, 6) for z in (8.0 * s, 12.0 * s)]
-    walls = [line[1:3] for line in lines if len(line) == 4]  # These lines cross both condyles.
+    walls = [line[1:3] for line in lines if len(line) == 4]  # A line with four intersections crosses both condyles.
     low = _intersect_line(bone, 0, behind, 10.0 * s)
-    # The notch is highest at the posterior edge of its roof, below the posterior surface of the shaft.
+    # The notch height is measured at the posterior edge of the roof, 4 mm anterior to the posterior shaft surface.
     roof = _intersect_line(bone, 1, 0.0, 50.0 * s)[-1] - 4.0 * s
     return {
         "epicondylar_width_mm": float(np.ptp(points[points[:, 2] < 60 * s, 0])),
@@ -134,7 +134,7 @@ def _measure_femur(meshes: Mapping[str, trimesh.Trimesh], assembly: KneeAssembly
 
 
 def _measure_tibia(meshes: Mapping[str, trimesh.Trimesh], assembly: KneeAssembly) -> Sizes:
-    """Measure tibia and fibula, in mm and degrees, with z = 0 at the middle of the plateau."""
+    """Measure sizes of tibia and fibula, in mm and degrees; z = 0 is the middle of the plateau."""
     bone, marrow, fibula = (
         _undo_transform(meshes[name], assembly.pose.tibia_transform())
         for name in ("tibia", "tibia_trabecular", "fibula")
@@ -172,7 +172,7 @@ def _measure_patella(meshes: Mapping[str, trimesh.Trimesh]) -> Sizes:
 
 
 def _measure_shaft(bone: trimesh.Trimesh, marrow: trimesh.Trimesh, z: float, width_key: str, cortex_key: str) -> Sizes:
-    """Measure the width of a shaft at height `z` and the mean thickness of its two cortices there, in mm."""
+    """Measure the shaft width and the mean thickness of medial and lateral cortex at height `z`, in mm."""
     ring = _slice_mesh_at_height(bone, z)
     y = float(ring[:, 1].min() + ring[:, 1].max()) / 2
     outside, inside = (_intersect_line(mesh, 0, y, z) for mesh in (bone, marrow))
@@ -181,7 +181,7 @@ def _measure_shaft(bone: trimesh.Trimesh, marrow: trimesh.Trimesh, z: float, wid
 
 
 def _femorotibial_deg(meshes: Mapping[str, trimesh.Trimesh]) -> float:
-    """Measure the lateral angle between the shafts in the frontal plane, in degrees; 180 if they are in line."""
+    """Measure the lateral angle between femoral and tibial shaft in the frontal plane, in degrees; 180 is straight."""
     lean = 0.0
     for name, heights in (("femur", (115.0, 165.0)), ("tibia", (-115.0, -165.0))):
         rings = [_slice_mesh_at_height(meshes[name], z)[:, 0] for z in heights]

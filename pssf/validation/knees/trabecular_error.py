@@ -1,4 +1,4 @@
-"""Trabecular density: error and run time of its integrals, and its texture compared with patient radiographs."""
+"""Error and run time of trabecular density integrals, and comparison of trabecular texture with patients."""
 
 from dataclasses import replace
 from time import process_time, thread_time
@@ -22,26 +22,26 @@ from ...raycast import ENGINES, trace_sparse
 from ...simulation import simulate
 from ..raycasting.raycast_engines import Row
 
-# Side length of the texture patch at the detector, in mm.
+# Edge length of the texture patch at the detector, in mm.
 _PATCH_MM = 22.0
-# Distance of the patch below the joint line, in mm in the joint plane.
+# Distance of the texture patch below the plateau, in mm in the joint plane.
 _BELOW_MM = 6.0
-# Position of the patch between the joint centre (0) and the middle of the medial compartment (1).
-# This keeps the patch clear of the edge of the plateau.
+# Position of the texture patch between the joint centre (0) and the middle of the medial compartment (1). At this
+# position, the patch does not overlap the plateau edge.
 _MEDIAL_FRACTION = 0.6
 
 
 def measure_integration_steps() -> list[Row]:
-    """Measure error and run time of the trabecular density integral against the step length.
+    """Measure error and run time of the trabecular density integral for several step lengths.
 
-    Segments of 40 mm cross the proximal tibia. They belong to the 0.15 mm pixels of ``reference``.
+    Ray segments of 40 mm cross the proximal tibia at the pixel spacing of the protocol ``reference``.
 
     Returns
     -------
     list of dict
-        One row per leg rotation (``turned_deg``) and step (``step_mm``). ``seconds`` is the time of one thread for a
-        million segments. ``rms`` and ``most`` are the root mean square and the largest relative error, against
-        samples every 0.03 mm. ``texture`` is the RMS error divided by the standard deviation that the struts cause.
+        One row per leg rotation (``turned_deg``) and step (``step_mm``). ``seconds`` is the run time of one thread
+        per million segments. ``rms`` and ``most`` are the root mean square and the largest relative error against
+        samples every 0.03 mm. ``texture`` is the RMS error divided by the standard deviation caused by the trabeculae.
     """
     table = load_trabecular_bone()
     bone = build_healthy_tibia_trabeculae(table, seed=1)
@@ -72,14 +72,14 @@ def measure_integration_steps() -> list[Row]:
 
 
 def measure_texture_cost() -> list[Row]:
-    """Measure the run time of the trabecular density integrals in a ray trace of a knee, with one thread.
+    """Measure the run time of the trabecular density integrals during ray casting of a knee, with one thread.
 
     Returns
     -------
     list of dict
-        One row per engine, for the protocol ``reference``. ``samples`` is in millions, one voxel depth apart along the
-        ray in trabecular bone. ``ns`` is the time per sample. ``seconds`` is the time of all integrals, the best of
-        three runs. ``share`` is their fraction of the whole trace.
+        One row per engine, for the protocol ``reference``. ``samples`` is the number of density samples in millions,
+        one voxel apart along the ray. ``ns`` is the time per sample in nanoseconds. ``seconds`` is the time of all
+        integrals, fastest of three runs. ``time_fraction`` is the fraction of the ray-casting time.
     """
     protocol, built, rows = load_protocol("reference"), build(Knee()), list[Row]()
     per_mm = 1 / load_trabecular_bone().lattice.voxel_mm[2]
@@ -88,20 +88,20 @@ def measure_texture_cost() -> list[Row]:
         seconds, samples, whole = min(runs)
         rows.append({
             "engine": engine, "samples": round(samples / 1e6, 1), "ns": round(1e9 * seconds / samples, 1),
-            "seconds": round(seconds, 3), "share": round(seconds / whole, 3),
+            "seconds": round(seconds, 3), "time_fraction": round(seconds / whole, 3),
         })  # fmt: skip
     return rows
 
 
 def _time_trace(scene: Scene, protocol: Protocol, engine: str, per_mm: float) -> tuple[float, float, float]:
-    """Time a ray trace; return seconds of its integrals, number of samples, and seconds of the whole trace.
+    """Time a ray trace; return seconds of the density integrals, number of samples, and seconds of the whole trace.
 
     `per_mm` is the number of samples per mm of path.
     """
     timed: dict[int, _TimedDensity] = {}
 
     def noted(density: Density | None) -> "_TimedDensity | None":
-        # Surfaces that share a density must share its wrapper too.
+        # Surfaces with a common density need a common wrapper, because ray casting compares object identities.
         return None if density is None else timed.setdefault(id(density), _TimedDensity(density, per_mm))
 
     surfaces = [
@@ -117,7 +117,7 @@ def _time_trace(scene: Scene, protocol: Protocol, engine: str, per_mm: float) ->
 
 
 class _TimedDensity:
-    """Wrap a density to record the run time of its integrals and the number of samples."""
+    """Density wrapper that records the run time and the number of samples of the integrals."""
 
     def __init__(self, density: Density, per_mm: float) -> None:
         self._density, self._per_mm = density, per_mm
@@ -146,7 +146,7 @@ class _TimedDensity:
 
 
 def compare_texture_with_patients(count: int, workers: int) -> list[Row]:
-    """Compare trabecular texture below the medial plateau with published values of patient radiographs.
+    """Compare trabecular texture below the medial plateau with published values from patient radiographs.
 
     Parameters
     ----------

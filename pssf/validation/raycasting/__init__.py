@@ -1,1 +1,1 @@
-"""Validation of ray casting: exact phantoms, agreement of engines, tessellation error and gVirtualXray."""
+"""Validation of ray casting: exact phantoms, agreement of engines, tessellation error, comparison with gVirtualXray."""

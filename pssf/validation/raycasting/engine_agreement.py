@@ -1,4 +1,4 @@
-"""Agreement of both ray-casting engines on random knees from random directions."""
+"""Agreement of the two ray-casting engines for random knees and random beam directions."""
 
 import dataclasses
 
@@ -16,7 +16,7 @@ from .raycast_engines import Row
 
 
 def compare_engines(knees: int, workers: int, side_px: int = 2048) -> list[Row]:
-    """Compare path lengths of both engines on random knees seen from random directions.
+    """Compare path lengths of the two ray-casting engines for random knees and random beam directions.
 
     Parameters
     ----------
@@ -25,13 +25,13 @@ def compare_engines(knees: int, workers: int, side_px: int = 2048) -> list[Row]:
     workers : int
         Number of worker threads.
     side_px : int, default 2048
-        Side length of the detector in pixels; the field is that of the protocol ``reference``.
+        Number of detector pixels per side; the field size is that of the protocol ``reference``.
 
     Returns
     -------
     list of dict
-        One row per knee: largest difference of a path length in mm (``differs_mm``), counts of the ray audit, and the
-        number of rays so far.
+        One row per knee: largest difference between path lengths in mm (``differs_mm``), counts of the ray audit, and
+        cumulative number of rays.
     """
     rows, rays = [], 0
     for number in range(knees):

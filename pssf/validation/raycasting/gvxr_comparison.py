@@ -1,7 +1,7 @@
-"""Ray casting compared with gVirtualXray, which renders the same triangles with OpenGL.
+"""Comparison of ray casting with gVirtualXray, which renders the same triangles with OpenGL.
 
-Run times are those of computing path lengths of every material as arrays, the best of three runs. Needs gVirtualXray
-from the dependency group ``peers``. ``tests/test_gvxr.py`` explains where both differ.
+Run time is the time to compute arrays of path lengths for all materials, fastest of three runs. The module needs
+gVirtualXray from the dependency group ``peers``. ``tests/test_gvxr.py`` explains the differences.
 """
 
 import dataclasses
@@ -23,15 +23,15 @@ from .raycast_engines import Row, time_fastest_run
 from .sphere_phantoms import make_nested_spheroids
 
 _MM_PER_CM = 10.0
-# Number of runs, of which the fastest counts.
+# Number of timed runs; the fastest is reported.
 _RUNS = 3
 
 
 def compare_with_gvxr(workers: int) -> list[Row]:
-    """Compare path lengths and run time of both engines with gVirtualXray.
+    """Compare path lengths and run time of the two ray-casting engines with gVirtualXray.
 
-    Times of the engines include the mesh check; times of gVirtualXray exclude the transfer of meshes. Scenes have no
-    trabecular texture, which gVirtualXray does not support.
+    Run times of the engines include the mesh check. Run times of gVirtualXray exclude the transfer of meshes. Scenes
+    have no trabecular texture, because gVirtualXray does not support it.
 
     Parameters
     ----------
@@ -41,14 +41,14 @@ def compare_with_gvxr(workers: int) -> list[Row]:
     Returns
     -------
     list of dict
-        One row per scene: surfaces, triangles, pixels, and seconds of both engines and of gVirtualXray without and with
-        its artefact filter. ``p999_mm`` is the 99.9th percentile of the path length difference without the filter, over
-        pixels with material.
+        One row per scene: numbers of surfaces, triangles and pixels, and seconds of each engine and of gVirtualXray
+        without and with artefact filter. ``p999_mm`` is the 99.9th percentile of path length differences without the
+        filter, over pixels with material.
 
     Raises
     ------
     InputError
-        If gVirtualXray or its OpenGL context is not available.
+        gVirtualXray or its OpenGL context is not available.
     """
     gvxr = _open_gvxr_context()
     rows = [
@@ -66,7 +66,7 @@ def compare_with_gvxr(workers: int) -> list[Row]:
 def merge_meshes_by_material(scene: Scene) -> dict[str, trimesh.Trimesh]:
     """Merge all surfaces of a material into one mesh.
 
-    gVirtualXray does not know the material outside a surface. A cavity is therefore added as a surface with reversed
+    gVirtualXray has no material outside a surface. The outside material is therefore added as a surface with reversed
     faces.
 
     Parameters
@@ -89,14 +89,14 @@ def merge_meshes_by_material(scene: Scene) -> dict[str, trimesh.Trimesh]:
 
 
 def _compare_scene(gvxr: Any, scene_name: str, scene: Scene, side: int, workers: int) -> Row:
-    """Compare both engines with gVirtualXray on one scene."""
+    """Compare the two engines with gVirtualXray on one scene."""
     protocol = dataclasses.replace(load_protocol("reference"), rows=side, cols=side, pixel_mm=307.2 / side)
     view, seconds = resolve_view(protocol), dict[str, float]()
     ours = {}
     for engine in ("scanline", "embree"):
 
         def job(engine: str = engine) -> None:
-            # A new scene in every run includes the mesh check in the time.
+            # Each run makes a new scene, so the run time includes the mesh check.
             fresh = Scene([dataclasses.replace(surface) for surface in scene.surfaces], scene.ambient)
             ours.update(trace(fresh, view, engine=engine, texture=False, workers=workers).path_mm)
 
@@ -121,9 +121,9 @@ def _compare_scene(gvxr: Any, scene_name: str, scene: Scene, side: int, workers:
 def _make_gvxr_tracer(
     gvxr: Any, meshes: dict[str, trimesh.Trimesh], view: View
 ) -> Callable[[], dict[str, NDArray[np.float64]]]:
-    """Load meshes into gVirtualXray and return a function that computes its path lengths.
+    """Load meshes into gVirtualXray and return a function that computes path lengths.
 
-    The function returns (rows, cols) path lengths by material, in mm.
+    The returned function gives (rows, cols) path lengths by material, in mm.
     """
     gvxr.usePointSource()
     gvxr.setSourcePosition(*view.source_mm, "mm")
@@ -145,16 +145,16 @@ def _make_gvxr_tracer(
 
 
 def _open_gvxr_context() -> Any:
-    """Open an off-screen OpenGL context of gVirtualXray; InputError is raised if this fails."""
-    allowed = "use `uv run --group peers` on a system with OpenGL; see tests/README.md"
+    """Open an off-screen OpenGL context of gVirtualXray; raise InputError if it cannot be opened."""
+    remedy = "use `uv run --group peers` on a system with OpenGL; see docs/validation/ray_casting.md"
     try:
         from gvxrPython3 import gvxr
     except ImportError as error:
-        raise InputError(f"gVirtualXray must be installed for table gvxr, got {error}: {allowed}") from None
+        raise InputError(f"table gvxr needs gVirtualXray, which cannot be imported ({error}): {remedy}") from None
     try:
         gvxr.useLogFile("/dev/null")
         gvxr.createWindow(-1, 0, "EGL")
     except RuntimeError as error:
         reason = str(error).splitlines()[0]
-        raise InputError(f"gVirtualXray must find OpenGL for table gvxr, got {reason}: {allowed}") from None
+        raise InputError(f"table gvxr needs OpenGL, which gVirtualXray does not find ({reason}): {remedy}") from None
     return gvxr

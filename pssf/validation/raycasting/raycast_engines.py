@@ -1,4 +1,4 @@
-"""Run time, memory and error of both ray-casting engines by triangles, pixels and precision."""
+"""Run time, memory and error of ray-casting engines by number of triangles, number of pixels and float precision."""
 
 import dataclasses
 import sys
@@ -31,79 +31,81 @@ from .sphere_phantoms import (
 Row = dict[str, Any]
 # Approximate numbers of triangles of the polyhedral spheres.
 TRIANGLES = (1_000, 10_000, 100_000, 1_000_000, 3_000_000)
-# Side lengths of the detector, in pixels.
+# Numbers of detector pixels per side.
 DETECTOR_SIDES_PX = (256, 512, 1024, 2048, 4096)
 
 # Radius of the sphere, in mm.
 _RADIUS_MM = 60.0
-# Side length of the field at the detector, in mm.
+# Edge length of the field at the detector, in mm.
 _FIELD_MM = 160.0
-# A ray whose path differs by more than this length, in mm, has a missing or a false crossing.
+# Path length difference above which a ray has a missing or a false surface crossing, in mm.
 _LEAK_MM = 0.01
 
 
 def measure_engines(
     workers: int, triangles: tuple[int, ...] = TRIANGLES, sides: tuple[int, ...] = DETECTOR_SIDES_PX, runs: int = 3
 ) -> list[Row]:
-    """Measure both engines on a polyhedral sphere of 60 mm radius.
+    """Measure run time, memory and error of each ray-casting engine on a polyhedral sphere of 60 mm radius.
 
     Parameters
     ----------
     workers : int
         Number of worker threads.
     triangles : tuple of int
-        Approximate numbers of triangles.
+        Approximate numbers of triangles of the polyhedra.
     sides : tuple of int
-        Side lengths of the detector, in pixels.
+        Numbers of detector pixels per side.
     runs : int, default 3
-        Number of timed runs, of which the fastest counts.
+        Number of timed runs; the fastest is reported.
 
     Returns
     -------
     list of dict
-        One row per engine, mesh, detector and precision, with these columns.
+        One row per engine, mesh, detector size and precision.
 
     Notes
     -----
+    The rows have these columns:
+
     ``seconds``, ``million_rays_per_s``
-        Fastest run, from meshes to path lengths, including the mesh check.
+        Run time of the fastest run, from meshes to path lengths, including the mesh check.
     ``peak_mb``
-        Peak memory of a process that has made this image and the smaller images before it.
+        Peak memory of a process that traces an image after all smaller images.
     ``engine_error_mm``
-        Largest difference from the exact chord of the polyhedron, on a sample of pixels.
+        Largest difference from the exact chord length of the polyhedron, in a sample of pixels.
     ``tessellation_rms_mm``, ``tessellation_max_mm``
-        Error of the polyhedron against the sphere, on the same pixels.
+        Difference between the chord lengths of polyhedron and sphere, in the same pixels.
     ``differs_mm``
-        Largest difference from the other engine over all pixels.
+        Largest path length difference from the other engine over all pixels.
     ``leaked``
-        Pixels that differ by more than 0.01 mm, plus rays that were left unrepaired.
+        Number of pixels that differ from the other engine by more than 0.01 mm, plus number of unrepaired rays.
     """
     rows = []
     for engine in ENGINES:
         for count in triangles:
-            # A separate process makes the peak memory refer to this mesh and engine.
+            # Each mesh and engine is measured in a new process, so that peak memory excludes earlier measurements.
             with start_without_working_folder(), ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
                 rows += pool.submit(_measure_mesh, engine, count, sides, workers, runs).result()
     return rows
 
 
 def measure_nested_spheroids(workers: int, runs: int = 3) -> list[Row]:
-    """Measure run time and memory of both engines on five nested spheroids with half axes of 30 to 75 mm.
+    """Measure run time and memory of each ray-casting engine on five nested spheroids.
 
-    The spheroids represent leg, cortex, trabecular bone, marrow and water. They have 100 000 triangles in all on
-    2048 x 2048 pixels, and 3 million on 1024 x 1024 pixels.
+    The spheroids, with radii of 30 to 75 mm before scaling, represent leg, cortex, trabecular bone, marrow and water.
+    Together they have 100 000 triangles for 2048 x 2048 pixels, and 3 million triangles for 1024 x 1024 pixels.
 
     Parameters
     ----------
     workers : int
         Number of worker threads.
     runs : int, default 3
-        Number of timed runs, of which the fastest counts.
+        Number of timed runs; the fastest is reported.
 
     Returns
     -------
     list of dict
-        One row per engine and size, with columns as in :func:`measure_engines`.
+        One row per engine and number of triangles, with columns as in :func:`measure_engines`.
     """
     rows = []
     for engine in ENGINES:
@@ -130,7 +132,7 @@ def _measure_nested_case(engine: str, triangles: int, side: int, workers: int, r
 
 
 def compute_growth_exponents(engine_results: list[Row]) -> list[Row]:
-    """Compute the exponents with which run time grows with pixels and with triangles.
+    """Compute the exponents of the growth of run time with the number of pixels and of triangles.
 
     Parameters
     ----------
@@ -140,7 +142,7 @@ def compute_growth_exponents(engine_results: list[Row]) -> list[Row]:
     Returns
     -------
     list of dict
-        One row per engine and pair of neighbouring sizes.
+        One row per engine and pair of successive numbers of pixels or triangles.
     """
     rows = []
     for engine in ENGINES:
@@ -159,7 +161,7 @@ def compute_growth_exponents(engine_results: list[Row]) -> list[Row]:
 
 
 def _measure_mesh(engine: str, triangles: int, sides: tuple[int, ...], workers: int, runs: int) -> list[Row]:
-    """Measure one engine and mesh for every detector size and precision."""
+    """Measure one engine on one mesh for every detector size and precision."""
     mesh = make_sphere_polyhedron(triangles, _RADIUS_MM)
     samples = int(np.clip(4e8 / len(mesh.faces), 100, 2000))
     _make_sphere_scene(make_sphere_polyhedron(100, _RADIUS_MM)).surfaces[0].solid  # noqa: B018  loads compiled code
@@ -193,7 +195,7 @@ def _measure_mesh(engine: str, triangles: int, sides: tuple[int, ...], workers: 
 def _time_trace(
     mesh: Any, view: View, engine: str, precision: str, workers: int, runs: int
 ) -> tuple[float, int, Paths]:
-    """Time a ray trace after a warm-up run; return fastest seconds, peak memory in MB and the paths."""
+    """Time a ray trace after a warm-up run; return seconds of the fastest run, peak memory in MB, and path lengths."""
 
     def job() -> Paths:
         return trace(_make_sphere_scene(mesh), view, engine=engine, precision=precision, workers=workers)
@@ -227,7 +229,7 @@ def time_fastest_run(job: Callable[[], object], runs: int) -> float:
     job : callable
         Function to run, without arguments.
     runs : int
-        Number of runs.
+        Number of timed runs.
 
     Returns
     -------
@@ -243,7 +245,7 @@ def time_fastest_run(job: Callable[[], object], runs: int) -> float:
 
 
 def _make_sphere_scene(mesh: Any) -> Scene:
-    """Make a scene of one water body in air."""
+    """Make a scene with one water-filled surface in air."""
     return Scene([Surface(mesh, inside="water", outside="air", name="sphere")])
 
 

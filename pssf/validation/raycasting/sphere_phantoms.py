@@ -1,4 +1,4 @@
-"""Polyhedral spheres with any number of triangles, and exact chord lengths to compare with."""
+"""Polyhedral spheres with any number of triangles, and their exact chord lengths as reference for ray casting."""
 
 import numpy as np
 import trimesh
@@ -11,7 +11,7 @@ from ...geometry.view import View
 
 
 def make_sphere_polyhedron(triangles: int, radius_mm: float) -> trimesh.Trimesh:
-    """Make a convex polyhedron with vertices on a sphere, on a grid of latitude and longitude.
+    """Make a convex polyhedron whose vertices are on a sphere, on a grid of latitude and longitude.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def make_sphere_polyhedron(triangles: int, radius_mm: float) -> trimesh.Trimesh:
     Returns
     -------
     trimesh.Trimesh
-        Polyhedron about the origin.
+        Polyhedron centred on the origin.
     """
     rings = max(3, round((triangles / 3) ** 0.5))
     around = max(3, round(triangles / (2 * (rings - 1))))
@@ -57,7 +57,7 @@ def make_nested_spheroids(triangles: int) -> list[Surface]:
     Returns
     -------
     list of Surface
-        Surfaces from the outermost (75 mm) to the innermost (30 mm).
+        Surfaces from the outermost (radius 75 mm before scaling) to the innermost (30 mm).
     """
     names = ("air", "muscle", "cortical_bone", "trabecular_bone", "marrow", "water")
     meshes = [
@@ -69,7 +69,7 @@ def make_nested_spheroids(triangles: int) -> list[Surface]:
 
 
 def polyhedron_chords_mm(mesh: trimesh.Trimesh, pixels: NDArray[np.int64], view: View) -> Array:
-    """Compute exact chords of a convex polyhedron by clipping each ray against the half-space of every face.
+    """Compute exact chord lengths of a convex polyhedron by clipping each ray against the half-space of every face.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def polyhedron_chords_mm(mesh: trimesh.Trimesh, pixels: NDArray[np.int64], view:
 
 
 def sphere_chords_mm(radius_mm: float, pixels: NDArray[np.int64], view: View) -> Array:
-    """Compute exact chords of a sphere about the origin.
+    """Compute exact chord lengths of a sphere centred on the origin.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def sphere_chords_mm(radius_mm: float, pixels: NDArray[np.int64], view: View) ->
 
 
 def _compute_pixel_rays(pixels: NDArray[np.int64], view: View) -> tuple[Array, Array]:
-    """Compute the source position (3,) in mm and the unit directions (n, 3) of the rays to pixels."""
+    """Compute the source position (3,) in mm and the unit vectors (n, 3) from the source to pixels."""
     corner = np.asarray(view.first_pixel_mm)
     rows, cols = np.asarray(pixels, np.float64).T
     depth = np.full(len(rows), corner[1])

@@ -1,4 +1,4 @@
-"""Error of the projected outlines of femur and tibia by number of triangles."""
+"""Error of the projected outlines of femur and tibia by mesh tolerance and number of triangles."""
 
 from collections.abc import Sequence
 from time import perf_counter
@@ -17,33 +17,34 @@ from ...geometry.view import magnification, project_points, resolve_view
 from ...model.protocol import load_protocol
 from .raycast_engines import Row
 
-# Number of outline samples per pixel.
+# Number of outline samples per pixel along each axis.
 _SUBPIXELS = 4
 # Mesh tolerance of the reference outline, in mm.
 _REFERENCE_TOLERANCE_MM = 0.004
-# Rows within which outlines are compared under the protocol `reference`; the shaft ends are outside.
+# Range of rows in which outlines are compared under the protocol `reference`; it excludes the shaft ends.
 _COMPARED_ROWS = (512, 1536)
 
 
 def measure_tessellation_error(
     coarse_tolerances_mm: Sequence[float] = (0.2, 0.1, 0.05), refinement_factors: Sequence[float] = (2, 4)
 ) -> list[Row]:
-    """Measure how far the projected outlines of the template femur and tibia deviate, by mesh tolerance.
+    """Measure the error of the projected outlines of the template femur and tibia for several mesh tolerances.
 
-    Outlines are compared in the joint plane under the protocol ``reference``. The exact outline is that of a mesh ten
-    times finer, with its vertices on the same level set.
+    Outlines are compared in the joint plane under the protocol ``reference``. The reference outline is that of a mesh
+    with a tolerance of 0.004 mm, whose vertices are on the same level set.
 
     Parameters
     ----------
     coarse_tolerances_mm : sequence of float
-        Mesh tolerances, in mm, that are tested beside the one in use.
+        Further mesh tolerances to test besides the tolerance in use, in mm.
     refinement_factors : sequence of float
-        Factors by which the tolerance in use is divided for further tests.
+        Factors by which the tolerance in use is divided to obtain finer tolerances to test.
 
     Returns
     -------
     list of dict
-        One row per bone and tolerance: triangles, seconds, and RMS, 99th percentile and maximum of the deviation in mm.
+        One row per bone and tolerance: number of triangles, meshing time in seconds, and RMS, 99th percentile and
+        maximum of the outline error in mm.
     """
     rows: list[Row] = []
     tables = load_anatomy_tables()
@@ -71,9 +72,9 @@ def measure_tessellation_error(
 
 
 def _outline_distances_mm(coarse: Mesh, exact: Mesh, end_sign: float) -> Array:
-    """Measure the distances between two outlines, perpendicular to them, in mm in the joint plane.
+    """Measure the perpendicular distances between two projected outlines, in mm in the joint plane.
 
-    The joint side is compared column by column, the sides of the bone row by row.
+    The outline at the joint is compared by column, the medial and lateral outlines by row.
     """
     view = resolve_view(load_protocol("reference"))
     distances = []
@@ -94,13 +95,13 @@ def _outline_distances_mm(coarse: Mesh, exact: Mesh, end_sign: float) -> Array:
         )
         with np.errstate(invalid="ignore"):
             slope, away = np.gradient(other), np.abs(one - other)
-        # Where an outline is steep along this axis, the comparison along the other axis covers it.
+        # Steep parts of an outline are omitted here, because the comparison along the other axis includes them.
         seen = np.isfinite(away) & np.isfinite(slope) & (np.abs(slope) < 1)
         distances.append(away[seen] / np.sqrt(1 + slope[seen] ** 2))
     return np.concatenate(distances) / _SUBPIXELS * view.pixel_mm / magnification(view)
 
 
 def _project_vertices(mesh: Mesh, axis: int) -> Array:
-    """Project the vertices of a mesh to (n, 2) subpixels, with the axis of comparison first."""
+    """Project the vertices of a mesh to (n, 2) subpixel positions; the compared coordinate is first."""
     places = project_points(mesh.vertices, resolve_view(load_protocol("reference"))) * _SUBPIXELS
     return places if axis == 0 else places[:, ::-1]

@@ -1,6 +1,6 @@
-"""Agreement of the radiomics backends MIRP and PyRadiomics, by feature family.
+"""Agreement between the radiomics backends MIRP and PyRadiomics, by feature family.
 
-Both backends must be installed (dependency group ``peers``, Python 3.11).
+The two backends must be installed (dependency group ``peers``, Python 3.11).
 """
 
 from time import perf_counter
@@ -22,43 +22,43 @@ from ...simulation import simulate
 from ..raycasting.raycast_engines import Row
 
 _PROTOCOLS = ("reference", "low_dose", "geometry_shift")
-# Side length of a region, in pixels.
+# Edge length of a region, in pixels.
 _REGION_PX = 512
 # Number of grey-level bins.
 _BINS = 64
-# Features below this magnitude, such as the mean of a z-score, are rounding errors and are not compared.
+# Magnitude below which a feature is a rounding error and is not compared, for example the mean of a z-score.
 _ROUNDING_ERROR = 1e-9
 
 
 def compare_backends() -> list[Row]:
-    """Compare features and run time of both radiomics backends by feature family.
+    """Compare features and run time of the two radiomics backends by feature family.
 
     Returns
     -------
     list of dict
-        One row per family: number of features in both backends (``both``) and names of features in one backend only.
-        ``by`` is the backend that PSSF uses if MIRP is chosen. ``apart`` is the largest relative difference.
-        ``pyradiomics_s`` and ``mirp_s`` are seconds per region.
+        One row per family: number of features that both backends have (``both``), and names of features that only one
+        backend has. ``by`` is the code that computes the family if MIRP is selected. ``apart`` is the largest relative
+        difference. ``pyradiomics_s`` and ``mirp_s`` are seconds per region.
 
     Raises
     ------
     InputError
-        If either backend is not installed.
+        A backend is not installed.
     """
     missing = [name for name in BACKENDS if not is_installed(name)]
     if missing:
         raise InputError(
-            "backends must be both MIRP and PyRadiomics, "
-            f"got an installation without {', '.join(missing)}: use `uv run --group peers`"
+            "table backends needs MIRP and PyRadiomics, "
+            f"but the installation lacks {', '.join(missing)}: use `uv run --group peers`"
         )
     tags, regions = load_ibsi_tags(), [_simulate_region(grade, name) for grade, name in enumerate(_PROTOCOLS)]
     for name in BACKENDS:
-        extract_features(regions[0], 1.0, tags, backend=name)  # A first run excludes import time from the timing.
+        extract_features(regions[0], 1.0, tags, backend=name)  # The first, untimed run includes the import.
     return [_compare_family(family, regions, MirpExtractor(tags)) for family in FAMILIES]
 
 
 def _simulate_region(grade: int, name: str) -> NDArray[np.uint16]:
-    """Simulate a (512, 512) region in DN about the medial joint line of a sampled knee."""
+    """Simulate a radiograph of a sampled knee and cut out a (512, 512) region around the medial joint line, in DN."""
     protocol = load_protocol(name)
     knee = sample_knee(grade=grade, rng=np.random.default_rng(grade), grade_table="paper")
     radiograph = simulate(knee, protocol, rng=grade, engine="scanline")
@@ -67,7 +67,7 @@ def _simulate_region(grade: int, name: str) -> NDArray[np.uint16]:
 
 
 def _compare_family(family: str, regions: list[NDArray[np.uint16]], mirp: MirpExtractor) -> Row:
-    """Compare the features of one family between both backends."""
+    """Compare the features of one family between the two backends."""
     first, second = (_time_extraction(family, regions, mirp.tags, name) for name in BACKENDS)
     apart = 0.0
     for one, other in zip(first[0], second[0], strict=True):
@@ -89,7 +89,7 @@ def _compare_family(family: str, regions: list[NDArray[np.uint16]], mirp: MirpEx
 def _time_extraction(
     family: str, regions: list[NDArray[np.uint16]], tags: IbsiTags, backend: str
 ) -> tuple[list[dict[str, float]], float]:
-    """Extract the features of every region; return them and the shortest time per region in seconds."""
+    """Extract the features of every region; return the features and the shortest time per region in seconds."""
     values, seconds = [], []
     for region in regions:
         began = perf_counter()

@@ -1,13 +1,13 @@
-"""Coverage of the confidence intervals of the study, over cohorts that are each split, trained and tested anew.
+"""Coverage of the confidence intervals of the study, over cohorts that are split, trained and tested independently.
 
-Cohorts have two grades of Gaussian features with a known separation, and the model is logistic regression. Needs the
-extra ``study``.
+Subjects have Gaussian features with a known separation between two grades, and the model is logistic regression. The
+module needs the optional dependencies ``study``.
 
 Notes
 -----
-For a linear model, AUC and balanced accuracy on infinitely many subjects follow from a formula. So does its mean
-macro F1 on test sets of the size of a split, on which macro F1 depends. The true value is the mean of these results
-over new training sets of the size of a split.
+For a linear model, AUC and balanced accuracy on infinitely many subjects have a closed form. Mean macro F1 depends on
+the size of the test set, and also has a closed form for the size in a split. The true value is the mean over new
+training sets of the size in a split.
 """
 
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ from ...study.statistics.scores.split_scores import score_splits
 from ...study.statistics.scores.subject_resampling import sample_bootstrap_counts
 from ..raycasting.raycast_engines import Row
 
-# With twenty subjects per grade six are tested, the smallest number for which the study decides a claim.
+# With 20 subjects per grade, 6 are in the test set, which is the smallest number for which the study decides a claim.
 MINIMUM_SUBJECTS = (20, 20)
 # Number of subjects of each grade.
 SubjectCounts = tuple[int, int]
@@ -42,9 +42,9 @@ _MEASURES = ("auc", "balanced_accuracy", "macro_f1")
 _FEATURES = 5
 # Number of splits per cohort.
 _SPLITS = 20
-# Features of each model; the arm named `jsw` represents a model with less information.
+# Feature columns of each model; the model `jsw` has fewer features, as a model of joint space width alone.
 _MODEL_FEATURES = {"lr": slice(0, _FEATURES), "jsw": slice(0, 2)}
-# Distances between the grade means, in standard deviations.
+# Distances between the two grade means, in standard deviations.
 _SEPARATIONS_SD = (0.0, 1.2, 2.0)
 _BOOTSTRAP = "bootstrap"
 _NO_WIDTH = "no width"
@@ -61,12 +61,12 @@ _MEASURE_LABELS = {
 
 @dataclass(frozen=True)
 class Population:
-    """Two grades of Gaussian features with a known separation.
+    """Population with Gaussian features and a known separation between two grades.
 
     Attributes
     ----------
     separation_sd : float
-        Distance between the grade means, in standard deviations. It is shared equally by the first and third feature.
+        Distance between the grade means, in standard deviations. The first and the third feature contribute equally.
     """
 
     separation_sd: float
@@ -93,7 +93,7 @@ class Population:
         return rng.normal(size=(len(grade), _FEATURES)) + grade[:, None] * self._grade_shift(), grade
 
     def compute_expected_performance(self, trained: SubjectCounts, tested: SubjectCounts) -> dict[str, Array]:
-        """Compute the expected performance of models that are trained on new cohorts.
+        """Compute the expected performance of models trained on newly sampled cohorts.
 
         Parameters
         ----------
@@ -124,7 +124,7 @@ class Population:
     def _compute_model_performance(
         self, model: LogisticRegression, seen: slice, tested: SubjectCounts
     ) -> tuple[float, float, float]:
-        """Compute AUC, balanced accuracy and mean macro F1 of a fitted linear model."""
+        """Compute AUC, balanced accuracy and mean macro F1 of a fitted linear model in closed form."""
         weight, step = model.coef_[0], self._grade_shift()[seen]
         length = np.linalg.norm(weight)
         zero, one = model.intercept_[0] / length, (model.intercept_[0] + weight @ step) / length
@@ -145,7 +145,7 @@ def measure_interval_coverage(workers: int, cohorts: int = 200) -> list[Row]:
     Returns
     -------
     list of dict
-        One row per separation and measure: true AUC, measure, number of cohorts, and coverage (``held``).
+        One row per separation and performance measure: true AUC, measure, number of cohorts, and coverage (``held``).
     """
     rows: list[Row] = []
     for apart in _SEPARATIONS_SD:
@@ -162,7 +162,7 @@ def measure_interval_coverage(workers: int, cohorts: int = 200) -> list[Row]:
 
 
 def count_missed_intervals(separation_sd: float, subjects: SubjectCounts, cohorts: int, workers: int = 1) -> pd.Series:
-    """Count the cohorts whose interval misses the true value, and those whose interval has no width.
+    """Count the cohorts whose interval excludes the true value, and the cohorts whose AUC interval has zero width.
 
     Parameters
     ----------
@@ -178,7 +178,8 @@ def count_missed_intervals(separation_sd: float, subjects: SubjectCounts, cohort
     Returns
     -------
     pandas.Series
-        Number of cohorts by measure; ``"no width"`` counts the AUC intervals without width.
+        Number of cohorts whose interval excludes the true value, by measure. ``"no width"`` is the number of AUC
+        intervals of zero width.
     """
     shared = {
         "separation_sd": separation_sd,
@@ -214,7 +215,7 @@ def mean_macro_f1(correct_probability: tuple[float, float], test_counts: Subject
 
 @cache
 def _compute_expected_performance(separation_sd: float, subjects: SubjectCounts) -> dict[str, Array]:
-    """Compute the expected performance for the training and test counts of a study split; results are cached."""
+    """Compute the expected performance for the numbers of training and test subjects in a study split."""
     grade = np.repeat([0, 1], subjects)
     split = split_subjects(range(len(grade)), grade.tolist(), seed=0)
     trained, tested = (np.bincount(grade[part], minlength=2).tolist() for part in (split.training, split.test))
@@ -224,7 +225,7 @@ def _compute_expected_performance(separation_sd: float, subjects: SubjectCounts)
 def _check_one_cohort(
     seed: int, separation_sd: float, subjects: SubjectCounts, truth: dict[str, Array]
 ) -> dict[str, bool]:
-    """Sample one cohort and report, by measure, whether its interval misses the true value."""
+    """Sample one cohort and report, for each measure, whether its interval excludes the true value."""
     values, grade = Population(separation_sd).sample_cohort(subjects, np.random.default_rng([5, seed]))
     predictions, listed = _predict_all_splits(values, grade, seed)
     splits, ratio = score_splits(predictions), compute_test_train_ratio(listed)
@@ -240,12 +241,12 @@ def _check_one_cohort(
 
 
 def _fit_logistic_regression(values: Array, grade: NDArray[np.int64]) -> LogisticRegression:
-    """Fit a logistic regression to (subjects, features) values."""
+    """Fit a logistic regression to feature values (subjects, features) and grades (subjects,)."""
     return LogisticRegression(solver="newton-cholesky").fit(values, grade)
 
 
 def _predict_all_splits(values: Array, grade: NDArray[np.int64], seed: int) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Predict every split as the study does; return the predictions and the subjects of each part."""
+    """Train and test on every split as in the study; return predictions, and training and test subjects per split."""
     parts, listed = [], []
     for repeat in range(_SPLITS):
         split = split_subjects(range(len(grade)), grade.tolist(), seed=seed, repeat=repeat)
@@ -263,7 +264,7 @@ def _predict_all_splits(values: Array, grade: NDArray[np.int64], seed: int) -> t
 def _bootstrap_auc_interval(predictions: pd.DataFrame, grade: NDArray[np.int64], seed: int) -> tuple[float, float]:
     """Compute a percentile interval of the AUC over bootstrap samples of subjects.
 
-    Splits and fitted models stay the same in every sample.
+    Splits and fitted models are the same in every bootstrap sample.
     """
     weights = sample_bootstrap_counts(pd.Series(grade), replicates=300, seed=seed, stream=0)
     of = [

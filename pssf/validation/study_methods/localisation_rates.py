@@ -1,4 +1,4 @@
-"""Localisation of the joint on valid and deliberately faulty simulations, and localisation limits derived from them."""
+"""Joint localisation on valid and deliberately faulty simulated radiographs, and derivation of its limits."""
 
 import dataclasses
 from functools import lru_cache
@@ -27,35 +27,35 @@ if TYPE_CHECKING:
     from ...radiomics.localisation.joint_localisation import JointLocation
     from ...radiomics.localisation.templates import Template
 
-# Protocols of knees that are sampled as in a study.
+# Protocols of the knees that are sampled as in a study.
 STUDY_PROTOCOLS = ("reference", "low_dose", "geometry_shift")
-# Protocols of every fourth knee, which is sampled from wide adult ranges.
+# Protocols of every fourth knee, which is sampled from wide ranges of adults.
 OTHER_PROTOCOLS = ("long_distance", "caudal_beam", "scatter_grid", "high_kv", "gos_screen", "large_focus")
-# Side length of the detector, in pixels.
+# Number of detector pixels per side.
 _SIDE_PX = 512
-# Side length of the region of interest, in pixels.
+# Edge length of the region of interest, in pixels.
 _REGION_PX = 128
-# Surfaces that remain if bones are removed.
+# Surfaces of a scene without bones.
 _SOFT_TISSUES = ("skin", "adipose", "muscle")
-# Binning of images without known pixel pitch, in pixels; patient images without pitch are often reduced crops.
+# Binning of images with unknown pixel pitch, in pixels; patient images with unknown pitch are often reduced crops.
 _BINNING_PX = 2
 
 
 class _LocalisationCase(NamedTuple):
-    """Modification of a simulated radiograph, and the status that localisation must report.
+    """Modification of a simulated radiograph, and the expected localisation status.
 
     Attributes
     ----------
     expected_status : str
-        Status that localisation must report.
+        Localisation status that is correct for the modified radiograph.
     pitch_factor : float or None
         Reported pixel pitch divided by the true pitch; None means that neither pitch nor side is given.
     has_bones : bool
-        False if the scene holds soft tissue only.
+        False if the scene contains only soft tissue.
     is_upright : bool
         False if the image is upside down.
     is_mirrored : bool
-        True if the opposite side is given.
+        True if the opposite knee side (left or right) is given to the localisation.
     """
 
     expected_status: str
@@ -84,20 +84,20 @@ _MEASURES = (
 
 
 def measure_localisation(count: int, workers: int) -> list[Row]:
-    """Measure how often the joint is localised or rejected for the expected reason, and the localisation error.
+    """Measure how often localisation reports the expected status, and the localisation error.
 
     Parameters
     ----------
     count : int
-        Number of knees. Three quarters are sampled as in a study, one quarter from wide adult ranges.
+        Number of knees. Three quarters are sampled as in a study, one quarter from wide ranges of adults.
     workers : int
         Number of worker processes.
 
     Returns
     -------
     list of dict
-        One row per case and kind of knee: number of radiographs, localised joints and expected statuses, error in mm in
-        the joint plane, and the range of every score.
+        One row per case and sampling method: number of radiographs, of localised joints and of expected statuses,
+        localisation error in mm in the joint plane, and minimum and maximum of each score.
     """
     return [
         _summarise_case(case, kind, [one for one in located if one["case"] == case and one["kind"] == kind])
@@ -121,7 +121,7 @@ def derive_localisation_limits(count: int, workers: int) -> list[Row]:
     Returns
     -------
     list of dict
-        One row per limit: value from the simulations, rule that gives it, and the limit in use (``in_force``).
+        One row per limit: value derived from the simulations, rule of the derivation, and limit in use (``in_force``).
     """
     table = load_localisation_settings()
     located, limits = _locate_all_knees(count, workers, len(load_shape_model().modes), table), table.thresholds
@@ -161,7 +161,7 @@ def derive_localisation_limits(count: int, workers: int) -> list[Row]:
 
 
 def _summarise_case(case: str, kind: str, located: list[Row]) -> Row:
-    """Summarise the localisation results of one case and kind of knee."""
+    """Summarise the localisation results of one case and one sampling method of knees."""
     meant, is_right = _CASES[case].expected_status, case.startswith("right")
     errors = np.array([one["error_mm"] for one in located if one["status"] == "found"])
     row: Row = {
@@ -177,9 +177,9 @@ def _summarise_case(case: str, kind: str, located: list[Row]) -> Row:
     return row
 
 
-@lru_cache(maxsize=1)  # Both tables use the same simulations.
+@lru_cache(maxsize=1)  # Tables `localisation` and `localisation_limits` use the same simulations.
 def _locate_all_knees(count: int, workers: int, modes: int, table: LocalisationSettings) -> list[Row]:
-    """Locate the joint of every knee in every case; results are cached."""
+    """Locate the joint of every knee in every case."""
     shared = {"templates": make_standard_templates("scanline", workers=workers), "modes": modes, "table": table}
     return [
         row
@@ -191,7 +191,7 @@ def _locate_all_knees(count: int, workers: int, modes: int, table: LocalisationS
 def _locate_knee_in_all_cases(
     number: int, *, templates: "tuple[Template, ...]", modes: int, table: LocalisationSettings
 ) -> list[Row]:
-    """Locate the joint of one knee in every case; return no rows if the knee cannot be built."""
+    """Locate the joint of one knee in every case; return an empty list if the knee cannot be built."""
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(2,)))
     kind = "adult" if number % 4 == 3 else "study"
     knee = (
@@ -228,7 +228,7 @@ def _locate_joint(
     templates: "tuple[Template, ...]",
     table: LocalisationSettings,
 ) -> "JointLocation":
-    """Locate the joint in a modified image; row and column are in pixels of that image."""
+    """Modify an image as the case specifies and locate the joint, in pixels of the modified image."""
     from ...radiomics.localisation.joint_localisation import locate_joint_in_radiograph
     from ...radiomics.localisation.pixel_aspect import locate_joint_in_film
     from ...radiomics.localisation.templates import compute_density

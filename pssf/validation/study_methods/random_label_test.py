@@ -1,7 +1,7 @@
-"""Random-label test: claims of the study on cohorts whose grades are random, where no claim may hold.
+"""Random-label test: evaluation of the study claims on cohorts with random grades, in which no claim may hold.
 
-Feature tables are synthetic, with the names and correlations of radiograph features, so they hold no information about
-the grade. Needs the extra ``study``.
+Feature tables are synthetic and contain no information about the grade. Feature names and correlations resemble those
+of radiographs. The module needs the optional dependencies ``study``.
 """
 
 import numpy as np
@@ -16,14 +16,15 @@ from ...study.statistics.result_tables import build_model_tables
 from ...study.statistics.scores.claims import evaluate_claims
 from ..raycasting.raycast_engines import Row
 
-# Features of the trend claims, and families of the importance claim; two thirds are texture, as in a study.
+# Synthetic features. They include the features that the trend claims need and the families that the importance claim
+# needs; two thirds are texture features, as in a study.
 FEATURE_NAMES = [
     *("firstorder_linear_Mean", "firstorder_linear_Energy", "glcm_Contrast", "glcm_JointEntropy"),
     *("glcm_DifferenceAverage", "glcm_Id", "glszm_a", "glszm_b", "glrlm_a", "shape2D_a"),
 ]
-# One claim concerns logistic regression, another claim any other model.
+# One claim concerns logistic regression and another claim concerns any other model, so two models are needed.
 SETTINGS = StudySettings(models=("lr", "xgb"), selections=("l1",), repeats=8, replicates=400)
-# Feature stability does not depend on labels, so random labels cannot refute this claim.
+# Claim that is omitted, because feature stability does not depend on labels and random labels cannot refute it.
 _LABEL_FREE_CLAIM = "A subset of features is stable"
 
 
@@ -59,7 +60,7 @@ def sample_random_label_cohort(seed: int, subjects: int = 90) -> pd.DataFrame:
 
 
 def count_false_claims(workers: int, cohorts: int = 20) -> list[Row]:
-    """Count the random-label cohorts in which each claim holds, and those in which it does not hold.
+    """Count the random-label cohorts in which each claim holds, and the cohorts in which it does not hold.
 
     Parameters
     ----------
@@ -76,8 +77,8 @@ def count_false_claims(workers: int, cohorts: int = 20) -> list[Row]:
 
     Notes
     -----
-    A claim is not decidable in a cohort that counts in neither column. The test requires that no claim holds, not that
-    every claim is refuted.
+    A claim may be undecidable in a cohort; such a cohort is counted in neither column. The test requires that no claim
+    holds, not that every claim is refuted.
     """
     tables = map_in_parallel(_evaluate_claims, range(cohorts), shared={}, workers=workers)
     verdicts = concatenate_tables(table.assign(seed=seed) for seed, table in enumerate(tables))

@@ -1,4 +1,4 @@
-"""Run time of the study without each of its parts (needs the extra ``study``)."""
+"""Run time of the study if one step is omitted, for each step; needs the optional dependencies ``study``."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,27 +11,28 @@ from ...io.atomic_write import make_temporary_folder
 from ...io.study_results import save_text
 from ..raycasting.raycast_engines import Row
 
-# One knee per grade more than a split needs: without noise, texture or scatter a region may be rejected.
+# Settings of the cohort. It has one knee per grade more than a split needs, because a region may be rejected in an
+# ablation of noise, texture or scatter.
 _COHORT = {"knees": [4, 4, 4], "bilateral": 0}
 _PROTOCOLS = ("reference", "low_dose", "geometry_shift")
 
 
 @dataclass(frozen=True)
 class AblationCase:
-    """One ablation: the part that is left out, and the settings that leave it out.
+    """One ablation: the omitted step of the study, and the settings that omit it.
 
     Parameters
     ----------
     omitted : str
-        Description of the part that is left out.
+        Description of the omitted step.
     cohort : dict
-        Settings of the cohort that are changed.
+        Changed cohort settings.
     protocol_toml : str
-        TOML lines that are added to each protocol.
+        TOML lines added to each protocol.
     settings : dict
-        Settings of the study that are changed.
+        Changed study settings.
     last_step : {"report", "features", "cohort"}, default "report"
-        Last step that is run.
+        Last step of the study that is run.
     """
 
     omitted: str
@@ -63,17 +64,17 @@ def measure_ablations(workers: int, cases: tuple[AblationCase, ...] = ABLATION_C
     workers : int
         Number of worker processes.
     cases : tuple of AblationCase
-        Ablations to measure; the first is the whole study.
+        Ablations to measure; the first must be the complete study.
 
     Returns
     -------
     list of dict
-        One row per ablation: part left out, number of radiographs, seconds, and fraction of the run time of the whole
-        study (``share``). The last row resumes a study that is already complete.
+        One row per ablation: omitted step, number of radiographs, seconds, and run time divided by that of the complete
+        study (``time_fraction``). The last row is the run time to resume a completed study.
 
     Notes
     -----
-    A warm-up study is run first and not counted, so that compiled code is available to every case.
+    A warm-up study is run first and not reported, so that compiled code is available to every ablation.
     """
     with make_temporary_folder() as folder:
         _time_case(folder / "warm", AblationCase("warm", cohort={"protocols": ["reference"], "retested": 0}), workers)
@@ -85,7 +86,9 @@ def measure_ablations(workers: int, cases: tuple[AblationCase, ...] = ABLATION_C
             radiographs, seconds = _time_case(folder / "0", cases[0], workers)
             rows.append({"left_out": "everything (study resumed)", "radiographs": radiographs, "seconds": seconds})
     whole = rows[0]["seconds"]
-    return [row | {"seconds": round(row["seconds"], 1), "share": round(row["seconds"] / whole, 3)} for row in rows]
+    return [
+        row | {"seconds": round(row["seconds"], 1), "time_fraction": round(row["seconds"] / whole, 3)} for row in rows
+    ]
 
 
 def _time_case(out: Path, case: AblationCase, workers: int) -> tuple[int, float]:
@@ -94,9 +97,7 @@ def _time_case(out: Path, case: AblationCase, workers: int) -> tuple[int, float]
     if case.protocol_toml:
         cohort["protocols"] = [_write_protocol_variant(out, name, case.protocol_toml) for name in cohort["protocols"]]
     execution, start = Execution(workers=workers), perf_counter()
-    made = make_experiment(
-        out, execution, preset="quick", seed=0, engine="scanline", cohort=cohort, settings=case.settings
-    )
+    made = make_experiment(out, execution, cohort | case.settings)
     if case.last_step == "features":
         measure_experiment(made, execution)
     elif case.last_step == "report":
@@ -106,7 +107,7 @@ def _time_case(out: Path, case: AblationCase, workers: int) -> tuple[int, float]
 
 
 def _write_protocol_variant(out: Path, name: str, technique: str) -> str:
-    """Write a protocol with additional TOML lines and return its path."""
+    """Write a protocol file with additional TOML lines, and return the path of the file."""
     path = out / "protocols" / f"{name}.toml"
     save_text(path, f'base = "{name}"\n{technique}')
     return str(path)

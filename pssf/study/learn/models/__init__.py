@@ -1,1 +1,1 @@
-"""Feature selection, classifiers, baselines, a small network, and models as files."""
+"""Feature selection, classifiers, baselines, a small network, and model files."""

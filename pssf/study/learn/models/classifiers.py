@@ -19,7 +19,7 @@ from xgboost import XGBClassifier
 from ....core.checks import Array, require_choice
 from ...statistics.scores.quiet_fit import fit_without_solver_warnings
 
-# Grid of hyperparameters of each classifier in `study_settings.MODELS` and of chance.
+# Hyperparameter grid of each classifier in `study_settings.MODELS` and of the chance baseline.
 _GRIDS: dict[str, list[dict[str, Any]]] = {
     "lr": [{"C": c} for c in (0.01, 0.1, 1.0, 10.0)],
     "rf": [{"min_samples_leaf": leaf} for leaf in (4, 1)],
@@ -39,7 +39,7 @@ class FittedModel:
     parameters : dict of str to Any
         Hyperparameters chosen on the validation subjects.
     importance : dict of str to float
-        Share of each feature in the importance of the model; the shares sum to 1. Empty for chance.
+        Importance of each feature; the importances of a model sum to 1. Empty for the chance baseline.
     """
 
     pipeline: Pipeline
@@ -57,19 +57,19 @@ def tune_classifier(
 ) -> FittedModel:
     """Fit a classifier to the training rows and choose its hyperparameters on the validation rows.
 
-    The criterion is the lowest log loss: with few validation knees the AUC has too few distinct values.
+    The criterion is the lowest log loss, because with few validation knees the AUC has few distinct values.
 
     Parameters
     ----------
     prepared : Pipeline
-        Pipeline of `build_feature_pipeline`, fitted to the same training rows.
+        Pipeline from `build_feature_pipeline`, fitted to the same training rows.
     model : str
         Classifier from `study_settings.MODELS`, or "chance", which predicts the class frequencies in training.
     training : tuple of DataFrame and (rows,) int64 array
         Features and class index of the training rows.
     validation : tuple of DataFrame and (rows,) int64 array
-        Features and class index of the validation rows. Without rows, the first hyperparameters are used, which are the
-        most regularised.
+        Features and class index of the validation rows. Without rows, the first hyperparameters of
+        the grid are used, which have the strongest regularisation.
     seed : int
         Seed of the classifier.
 
@@ -110,7 +110,7 @@ def fit_with_parameters(
     Parameters
     ----------
     prepared : Pipeline
-        Pipeline of `build_feature_pipeline`, fitted to the same rows.
+        Pipeline from `build_feature_pipeline`, fitted to the same rows.
     model : str
         Classifier from `study_settings.MODELS`, or "chance".
     parameters : dict of str to Any
@@ -123,7 +123,7 @@ def fit_with_parameters(
     Returns
     -------
     FittedModel
-        Fitted classifier.
+        Classifier fitted to all given rows.
     """
     X, y = prepared.transform(rows[0]).to_numpy(), rows[1]
     return _assemble_model(
@@ -134,18 +134,18 @@ def fit_with_parameters(
 
 
 def _assemble_model(prepared: Pipeline, model: Any, parameters: dict[str, Any]) -> FittedModel:
-    """Join preprocessing and classifier to one pipeline."""
-    shares = _compute_importance(model)
+    """Join preprocessing and classifier in one pipeline."""
+    importance = _compute_importance(model)
     return FittedModel(
         pipeline=Pipeline([*prepared.steps, ("values", _TableToArray()), ("model", model)]),
         parameters=parameters,
-        importance=dict(zip(prepared.named_steps["select"].kept_, shares.tolist(), strict=False)),
+        importance=dict(zip(prepared.named_steps["select"].kept_, importance.tolist(), strict=False)),
     )
 
 
 def _compute_sample_weights(model: str, y: NDArray[np.int64]) -> Array:
-    """Compute the sample weights (rows,); classes weigh the same, except for chance."""
-    # Chance predicts the class frequencies, which equal class weights would hide.
+    """Compute the sample weights (rows,); all classes have equal weight, except in the chance baseline."""
+    # The chance baseline predicts the class frequencies; equal class weights would make them all the same.
     return np.ones(len(y)) if model == "chance" else compute_sample_weight("balanced", y)
 
 
@@ -158,7 +158,7 @@ class _TableToArray(TransformerMixin, BaseEstimator):
     """Pipeline step that converts a table to an array, because the classifiers are fitted without column names."""
 
     def fit(self, X: pd.DataFrame, y: Any = None) -> "_TableToArray":
-        """Return this object; there is nothing to fit."""
+        """Return this transformer unchanged, because it has no parameters to fit."""
         return self
 
     def transform(self, X: pd.DataFrame) -> Array:
@@ -189,7 +189,7 @@ def _make_classifier(model: str, parameters: dict[str, Any], seed: int) -> Any:
 
 
 def _compute_importance(model: Any) -> Array:
-    """Compute the importance (features,) of each feature as a share of the sum.
+    """Compute the importance (features,) of each feature as a fraction of the sum.
 
     The importance is the absolute coefficient of standardised features, the impurity decrease (forest) or the gain
     (boosting).

@@ -1,6 +1,6 @@
 """Feature selection: prune redundant features, standardise, select.
 
-Everything is fitted to training radiographs only.
+All steps are fitted to training radiographs only.
 """
 
 from typing import Any
@@ -29,10 +29,10 @@ class DropRedundant(TransformerMixin, BaseEstimator):
 
     Two features are redundant if their absolute Spearman correlation is above `rho`.
 
-    Among redundant features, the one with the most redundant partners stays, then the one with the highest
-    correlations, then the first by name. The order of the columns therefore has no influence, here or in later steps.
-    feature-engine's DropCorrelatedFeatures keeps the first by order instead. On features of 50 subjects it keeps 34
-    instead of 31, 23 of them the same.
+    Among redundant features, the feature with the most redundant partners is kept. Ties are decided by the sum of the
+    correlations, then by the name. The result therefore does not depend on the order of the columns. In contrast,
+    feature-engine's DropCorrelatedFeatures keeps the first column. On features of 50 subjects it keeps 34 features,
+    this class keeps 31, and 23 features are kept by both.
 
     Parameters
     ----------
@@ -58,25 +58,25 @@ class DropRedundant(TransformerMixin, BaseEstimator):
         X : DataFrame
             Training features (rows, features).
         y : (rows,) array, optional
-            Ignored.
+            Not used.
 
         Returns
         -------
         DropRedundant
-            This object.
+            Fitted transformer.
         """
-        # DropConstantFeatures would keep features that vary in the last bit only, such as the mean of a z-score.
+        # DropConstantFeatures would keep features that vary only by rounding errors, such as the mean of a z-score.
         names = [name for name in sorted(X.columns) if not is_degenerate(X[name].to_numpy())]
-        # If nothing varies, a model still needs one column; it then predicts the class frequencies.
+        # A model needs at least one column. If all features are constant, it predicts the class frequencies.
         self.kept_ = self._select_uncorrelated(X[names]) or [min(X.columns)]
         self.median_ = X[self.kept_].median().fillna(0.0)
         return self
 
     def _select_uncorrelated(self, X: pd.DataFrame) -> list[str]:
-        """Select the features to keep, by name."""
+        """Select the names of the features to keep."""
         if X.shape[1] < 2:
             return list(X.columns)
-        # Correlations are rounded, so that ties do not depend on the order of summation.
+        # Correlations are rounded so that ties do not depend on the order of summation.
         rho = np.abs(np.corrcoef(rankdata(X.to_numpy(np.float64), axis=0), rowvar=False)).round(9)
         kept, left = [], np.ones(len(rho), bool)
         while left.any():
@@ -89,7 +89,7 @@ class DropRedundant(TransformerMixin, BaseEstimator):
         return [X.columns[index] for index in sorted(kept)]
 
     def transform(self, X: pd.DataFrame) -> pd.DataFrame:
-        """Return the kept features, with missing values replaced by the training median.
+        """Return the kept features and replace missing values by the training median.
 
         Parameters
         ----------
@@ -99,10 +99,10 @@ class DropRedundant(TransformerMixin, BaseEstimator):
         Returns
         -------
         DataFrame
-            Columns of ``kept_``.
+            Columns listed in ``kept_``.
         """
-        # A feature may be undefined in a later radiograph, such as the elongation of a mask that is a line.
-        # numpy is used because fillna works column by column and takes a third of the time of a prediction.
+        # A feature that is defined in all training radiographs may be undefined in a test radiograph.
+        # numpy is used because fillna works column by column and would take a third of the prediction time.
         values = X[self.kept_].to_numpy(np.float64)
         filled = np.where(np.isnan(values), self.median_.to_numpy(), values)
         return pd.DataFrame(filled, columns=self.kept_, index=X.index)
@@ -111,8 +111,8 @@ class DropRedundant(TransformerMixin, BaseEstimator):
 class SelectL1(TransformerMixin, BaseEstimator):
     """Transformer that selects features with a nonzero coefficient in L1-regularised logistic regression.
 
-    The regularisation is the strongest of a list that leaves at least three features, or all if there are fewer. At
-    most `max_features` features with the largest coefficients stay.
+    Regularisation strengths are tried from strong to weak until at least three coefficients are nonzero (fewer, if
+    there are fewer features). At most `max_features` features with the largest coefficients are kept.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ class SelectL1(TransformerMixin, BaseEstimator):
         self.random_state = random_state
 
     def fit(self, X: pd.DataFrame, y: NDArray[np.int64]) -> "SelectL1":
-        """Select the features.
+        """Select features from the training rows.
 
         Parameters
         ----------
@@ -144,7 +144,7 @@ class SelectL1(TransformerMixin, BaseEstimator):
         Returns
         -------
         SelectL1
-            This object.
+            Fitted transformer.
         """
         enough = min(3, X.shape[1], self.max_features)
         weight = np.zeros(X.shape[1])
@@ -158,9 +158,9 @@ class SelectL1(TransformerMixin, BaseEstimator):
         return self
 
     def _fit_coefficients(self, X: pd.DataFrame, y: NDArray[np.int64], strength: float) -> NDArray[np.float64]:
-        """Fit the largest absolute coefficient (features,) of each feature over the classes."""
+        """Fit one model per class; return the largest absolute coefficient of each feature, as a (features,) array."""
         largest = np.zeros(X.shape[1])
-        # One class against the rest, because liblinear handles two classes only; saga handles more, ten times slower.
+        # One-vs-rest models are fitted because liblinear handles two classes only; saga handles more, ten times slower.
         for grade in np.unique(y)[1 if len(np.unique(y)) == 2 else 0 :]:
             model = LogisticRegression(
                 l1_ratio=1,
@@ -185,7 +185,7 @@ class SelectL1(TransformerMixin, BaseEstimator):
         Returns
         -------
         DataFrame
-            Columns of ``kept_``.
+            Columns listed in ``kept_``.
         """
         return X[self.kept_]
 
@@ -193,7 +193,7 @@ class SelectL1(TransformerMixin, BaseEstimator):
 class SelectMRMR(TransformerMixin, BaseEstimator):
     """Transformer that selects features of maximum relevance and minimum redundancy.
 
-    The criterion is the quotient of F statistic and correlation (FCQ; Zhao 2019).
+    The criterion is the ratio of F statistic and correlation (FCQ; Zhao 2019).
 
     Parameters
     ----------
@@ -210,7 +210,7 @@ class SelectMRMR(TransformerMixin, BaseEstimator):
         self.max_features = max_features
 
     def fit(self, X: pd.DataFrame, y: NDArray[np.int64]) -> "SelectMRMR":
-        """Select the features.
+        """Select features from the training rows.
 
         Parameters
         ----------
@@ -222,7 +222,7 @@ class SelectMRMR(TransformerMixin, BaseEstimator):
         Returns
         -------
         SelectMRMR
-            This object.
+            Fitted transformer.
         """
         self.kept_ = list(X.columns)
         if X.shape[1] > self.max_features:
@@ -243,13 +243,13 @@ class SelectMRMR(TransformerMixin, BaseEstimator):
         Returns
         -------
         DataFrame
-            Columns of ``kept_``.
+            Columns listed in ``kept_``.
         """
         return X[self.kept_]
 
 
 class SelectAll(TransformerMixin, BaseEstimator):
-    """Transformer that keeps every feature; used for baselines, which have few columns.
+    """Transformer that keeps every feature; it is used for baselines, which have few columns.
 
     Attributes
     ----------
@@ -265,18 +265,18 @@ class SelectAll(TransformerMixin, BaseEstimator):
         X : DataFrame
             Training features (rows, features).
         y : (rows,) array, optional
-            Ignored.
+            Not used.
 
         Returns
         -------
         SelectAll
-            This object.
+            Fitted transformer.
         """
         self.kept_ = list(X.columns)
         return self
 
     def transform(self, X: pd.DataFrame) -> pd.DataFrame:
-        """Return all features.
+        """Return all features, without selection.
 
         Parameters
         ----------
@@ -286,7 +286,7 @@ class SelectAll(TransformerMixin, BaseEstimator):
         Returns
         -------
         DataFrame
-            Columns of ``kept_``.
+            Columns listed in ``kept_``.
         """
         return X[self.kept_]
 
@@ -308,7 +308,7 @@ def build_feature_pipeline(selection: str, *, rho: float, max_features: int, see
     Returns
     -------
     Pipeline
-        Steps ``drop``, ``scale`` and ``select``.
+        Unfitted pipeline with the steps ``drop``, ``scale`` and ``select``.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Final models, which are fitted to all subjects of the cohort and saved."""
+"""Final models: fitted to all subjects of the cohort and saved."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -8,10 +8,10 @@ import pandas as pd
 
 from ...design.classification_tasks import find_tasks, lowest_grades
 from ...design.study_settings import StudySettings
-from ..protocol_scenarios import make_labelled_features
 from ..subject_split import split_subjects
 from .classifiers import FittedModel, fit_with_parameters, tune_classifier
 from .feature_selection import build_feature_pipeline
+from .labelled_features import make_labelled_features
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,10 +57,11 @@ class RefittedModel:
 def refit_models(
     table: pd.DataFrame, names: list[str], settings: StudySettings, trained_on: Mapping[str, Sequence[str]]
 ) -> Iterator[RefittedModel]:
-    """Fit every task, selection and classifier to all subjects, on each set of protocols.
+    """Fit a model to all subjects for every task, feature selection, classifier and set of protocols.
 
-    The hyperparameters are those chosen on the validation subjects of the first split. Features are selected and models
-    fitted anew on all subjects. No subject is left for testing; the splits estimate the performance.
+    The hyperparameters are those chosen on the validation subjects of the first split. Feature
+    selection and classifier are then fitted to all subjects. No subject is left for testing, so the performance is
+    estimated on the splits only.
 
     Parameters
     ----------
@@ -76,7 +77,7 @@ def refit_models(
     Yields
     ------
     RefittedModel
-        Final model of each task, selection, classifier and set of protocols.
+        Final model of each task, feature selection, classifier and set of protocols.
 
     Raises
     ------
@@ -120,5 +121,5 @@ def refit_models(
 
 
 def _task_slug(task: str) -> str:
-    """Convert the name of a task to a part of a file name."""
+    """Convert the name of a task to text for a file name, such as "0v34" for "0 vs 3+4"."""
     return task.replace(" vs ", "v").replace("/", "").replace("+", "")

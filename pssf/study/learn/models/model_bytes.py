@@ -1,4 +1,4 @@
-"""Fitted models as bytes without pickle (skops); the same model gives the same bytes."""
+"""Conversion of fitted models to bytes with skops, without pickle; the same model gives the same bytes."""
 
 import io
 import re
@@ -10,7 +10,7 @@ from sklearn.impute import SimpleImputer
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
 
-# Types that may be loaded besides those that skops trusts by default.
+# Types that may be loaded in addition to those that skops trusts by default.
 _TRUSTED_TYPES = ["numpy.dtype", "sklearn.tree._tree.Tree", "xgboost.core.Booster", "xgboost.sklearn.XGBClassifier"]
 # Largest unpacked size of a model file, in bytes.
 _MAX_BYTES = 2**30
@@ -19,14 +19,14 @@ _ZIP_DATE = (1980, 1, 1, 0, 0, 0)
 
 
 def build_portable_pipeline(fitted: Pipeline) -> Pipeline:
-    """Convert a fitted pipeline to steps of scikit-learn only: impute, scale and model, on the selected features.
+    """Convert a fitted pipeline to scikit-learn steps (impute, scale, model) on the selected features.
 
-    The result can be loaded without this package. Its input is a table of the features in ``feature_names_in_``.
+    The result can be loaded without this package. Its input is a table with the columns in ``feature_names_in_``.
 
     Parameters
     ----------
     fitted : Pipeline
-        Pipeline of `classifiers.FittedModel`.
+        Pipeline from `classifiers.FittedModel`.
 
     Returns
     -------
@@ -36,7 +36,7 @@ def build_portable_pipeline(fitted: Pipeline) -> Pipeline:
     kept = fitted.named_steps["select"].kept_
     drop, scale = fitted.named_steps["drop"], fitted.named_steps["scale"]
     places = [drop.kept_.index(name) for name in kept]
-    # A fit on one row gives each step its form; then the fitted values are copied.
+    # A fit on one row initialises each step; then the values of the fitted pipeline are copied.
     row = pd.DataFrame([drop.median_[kept].to_numpy()], columns=kept)
     impute, scaler = SimpleImputer(strategy="median").fit(row), StandardScaler().fit(row.to_numpy())
     for name in ("mean_", "var_", "scale_"):
@@ -46,19 +46,19 @@ def build_portable_pipeline(fitted: Pipeline) -> Pipeline:
 
 
 def dumps(fitted: Pipeline) -> bytes:
-    """Convert a fitted pipeline to a skops file in its portable form.
+    """Convert a fitted pipeline to its portable form and then to a skops file.
 
     Parameters
     ----------
     fitted : Pipeline
-        Pipeline of `classifiers.FittedModel`.
+        Pipeline from `classifiers.FittedModel`.
 
     Returns
     -------
     bytes
-        Content of the file.
+        Content of the skops file.
     """
-    import skops.io  # Imported here, because the import takes one or two seconds and most commands save nothing.
+    import skops.io  # Imported here because the import takes one or two seconds and most commands save no model.
 
     return _normalise_archive(skops.io.dumps(build_portable_pipeline(fitted)))
 
@@ -69,12 +69,12 @@ def loads(content: bytes) -> Any:
     Parameters
     ----------
     content : bytes
-        Content of the file, of `dumps`.
+        Content of a file written by `dumps`.
 
     Returns
     -------
     Pipeline
-        Loaded pipeline. skops raises an error for types that such a pipeline does not hold.
+        Loaded pipeline. skops raises an error if the file contains types that are not trusted.
     """
     import skops.io
 
@@ -82,9 +82,9 @@ def loads(content: bytes) -> Any:
 
 
 def _normalise_archive(content: bytes) -> bytes:
-    """Number the objects and parts of a skops file in order and remove the time.
+    """Replace random identifiers in a skops file by consecutive numbers and fix its time stamps.
 
-    skops uses memory addresses and random names instead.
+    skops identifies objects by memory addresses and files by random names.
     """
     files = unzip_files(content)
     schema = files.pop("schema.json").decode()
@@ -98,7 +98,7 @@ def _normalise_archive(content: bytes) -> bytes:
 
 
 def zip_files(files: dict[str, bytes]) -> bytes:
-    """Pack files in a ZIP archive in the given order and with a fixed time.
+    """Pack files in a ZIP archive in the given order and with a fixed time stamp.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def unzip_files(content: bytes) -> dict[str, bytes]:
     Raises
     ------
     zipfile.BadZipFile
-        The content is no ZIP archive.
+        The content is not a ZIP archive.
     ValueError
         The unpacked files are larger than 1 GiB.
     """

@@ -1,7 +1,7 @@
-"""A model as one skops file that also holds a model card and the templates.
+"""Model files: a skops file that also contains a model card and the templates.
 
-Any skops installation can load the pipeline. The card holds everything needed to read a radiograph: how regions are
-located and measured, the names of the classes, the training data, and the versions of code and libraries.
+Any skops installation can load the pipeline. The card describes the localisation of regions, the
+measurement of features, the classes, the training data, and the versions of code and libraries.
 """
 
 import json
@@ -34,18 +34,18 @@ from .model_bytes import (
 
 # Suffix of model files.
 MODEL_SUFFIX = ".skops"
-# Format version that the card states.
+# Format version, as written in the card.
 _FORMAT = "pssf model 1"
-# Name of the card inside the file.
+# Name of the card inside the model file.
 _CARD_FILE = "pssf/model.json"
-# Parts of the package that the probabilities of a radiograph depend on.
+# Subpackages whose code affects the predicted probabilities.
 _CODE_PACKAGES = ("core", "data", "detector", "io", "radiomics", "study")
-# Distributions whose versions the card states.
+# Python distributions whose versions are written in the card.
 _LIBRARIES = ("pssf", "numpy", "scikit-image", "scikit-learn", "scipy", "skops", XGBOOST)
 
 
 class TrainingProtocol(Record, frozen=True):
-    """A protocol that a model was trained on.
+    """Protocol of the training radiographs of a model.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class TemplateRecord(Record, frozen=True):
     Attributes
     ----------
     shape : tuple of int
-        Rows and columns of the pixels.
+        Number of pixel rows and columns.
     row : float
         Row of the medial joint line, in px.
     col : float
@@ -81,7 +81,7 @@ class TemplateRecord(Record, frozen=True):
     plateau_mm : float or None
         Width of the tibial plateau at the detector, in mm; None if unknown.
     severe : bool
-        True for a template of a severe knee, which is used only if no other template matches clearly.
+        True for a template of a knee with severe OA, which is used only if no other template matches clearly.
     """
 
     shape: tuple[int, int]
@@ -100,7 +100,7 @@ class SoftwareVersions(Record, frozen=True):
     versions : dict of str to str
         Version of each library.
     code : dict of str to str
-        Hash of each part of the package.
+        Hash of each subpackage.
     """
 
     versions: dict[str, str]
@@ -108,22 +108,22 @@ class SoftwareVersions(Record, frozen=True):
 
 
 class ModelCard(Record, frozen=True):
-    """Description of a model in its file.
+    """Model card: description of a model, stored in the model file.
 
     Attributes
     ----------
     format : str
-        Format version.
+        Version of the file format.
     name : str
         Name of the model.
     reads : str
-        "linear" if the model was trained on linear pixels, "display" if on radiographs as displayed.
+        Pixels of the training radiographs: "linear" (in the signal) or "display" (rendered for display).
     task : str
         Classification task.
     grades : tuple of int
         Lowest grade of each class, in order of the classes.
     grade_names : tuple of str
-        Name of each class, in the same order.
+        Name of each class, in the order of `grades`.
     model : str
         Classifier.
     selection : str
@@ -131,7 +131,7 @@ class ModelCard(Record, frozen=True):
     parameters : dict of str to float
         Hyperparameters of the classifier.
     features : tuple of str
-        Names of the features that the model uses, in its order.
+        Names of the features that the model uses, in the order of its columns.
     families : tuple of str
         Feature families to measure.
     bins : int
@@ -139,7 +139,7 @@ class ModelCard(Record, frozen=True):
     pixel_mm : float
         Pixel pitch at which regions are measured, in mm.
     region_px : int
-        Side of the region at that pitch, in px.
+        Side length of the region at the pitch `pixel_mm`, in px.
     trained_on : tuple of TrainingProtocol
         Protocols of the training radiographs.
     subjects : int
@@ -153,7 +153,8 @@ class ModelCard(Record, frozen=True):
     made_by : SoftwareVersions
         Software with which the model was made.
     backend : str
-        Radiomics backend that measured the features. Older files do not state it and used pyradiomics.
+        Radiomics backend that measured the features. Older files do not contain this field; their backend was
+        pyradiomics.
     """
 
     format: str
@@ -198,23 +199,23 @@ class SavedModel:
     templates: tuple[Template, ...]
 
     def predict_probabilities(self, features: pd.DataFrame) -> Array:
-        """Predict the class probabilities of measured radiographs.
+        """Predict the class probabilities of radiographs from their features.
 
         Parameters
         ----------
         features : DataFrame
-            One row per radiograph, with the features of the card.
+            One row per radiograph, with the features listed in the card.
 
         Returns
         -------
         (rows, classes) float64 array
-            Probability of each class of the card.
+            Probability of each class in the card.
         """
         return np.asarray(self.pipeline.predict_proba(features[list(self.card.features)]), np.float64)
 
 
 def collect_software_versions(backend: str) -> SoftwareVersions:
-    """Collect the versions of libraries and code of this process.
+    """Collect the library versions and code hashes of this process.
 
     Parameters
     ----------
@@ -242,13 +243,13 @@ def pack_model(kept: RefittedModel, templates: Sequence[Template], **card_entrie
     templates : sequence of Template
         Templates cropped by `radiomics.localisation.crop_template`.
     **card_entries : Any
-        Entries of `ModelCard` that do not follow from the model: reads, grade_names, families, backend, bins, pixel_mm,
+        Fields of `ModelCard` that `kept` does not determine: reads, grade_names, families, backend, bins, pixel_mm,
         region_px, trained_on, seed.
 
     Returns
     -------
     bytes
-        Content of the file.
+        Content of the model file.
     """
     card = ModelCard(
         format=_FORMAT,
@@ -266,7 +267,7 @@ def pack_model(kept: RefittedModel, templates: Sequence[Template], **card_entrie
         **card_entries,
     )
     text = json.dumps(msgspec.to_builtins(card), indent=1).encode()
-    with ThreadPoolExecutor() as pool:  # LZMA releases the global interpreter lock.
+    with ThreadPoolExecutor() as pool:  # Threads run in parallel because LZMA releases the global interpreter lock.
         packed = list(
             pool.map(_compress_pixels, [template.pixels.astype(np.float32).tobytes() for template in templates])
         )
@@ -275,12 +276,12 @@ def pack_model(kept: RefittedModel, templates: Sequence[Template], **card_entrie
 
 
 def unpack_model(content: bytes, name: str) -> SavedModel:
-    """Unpack the model of a file.
+    """Unpack a model file.
 
     Parameters
     ----------
     content : bytes
-        Content of the file.
+        Content of the model file.
     name : str
         Name of the file in error messages.
 
@@ -292,7 +293,7 @@ def unpack_model(content: bytes, name: str) -> SavedModel:
     Raises
     ------
     InputError
-        The file is damaged, is no model of this package, or has another format.
+        The file is damaged, is not a model of this package, or has another format.
     """
     allowed = f"a model saved by a study of pssf ({MODEL_SUFFIX})"
     try:
@@ -310,21 +311,21 @@ def unpack_model(content: bytes, name: str) -> SavedModel:
         return SavedModel(card=card, pipeline=pipeline, templates=templates)
     except InputError:
         raise
-    except Exception as error:  # A damaged file can fail anywhere in the readers of ZIP, LZMA and skops.
+    except Exception as error:  # For a damaged file, ZIP, LZMA and skops raise errors of many types.
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
-        raise InputError(f"{name}: content must be {allowed}, got a damaged or foreign file ({reason})") from None
+        raise InputError(
+            f"{name}: content must be {allowed}, got a damaged file or a file of another program ({reason})"
+        ) from None
 
 
 def _require_matching_card(pipeline: Any, card: ModelCard, name: str) -> None:
     """Raise InputError for a pipeline that does not match its card."""
     if not isinstance(pipeline, Pipeline):
-        raise InputError(
-            f"{name}: content must be a Pipeline, got {type(pipeline).__name__}: its card states a Pipeline"
-        )
+        raise InputError(f"{name}: content must be a Pipeline, got {type(pipeline).__name__}")
     classes, features = len(pipeline.classes_), list(getattr(pipeline[0], "feature_names_in_", ()))
     if classes != len(card.grades) or not set(features) <= set(card.features):
         raise InputError(
-            f"{name}: classes and features must be those of its card, got {classes} classes, {len(features)} features"
+            f"{name}: classes and features must match the model card, got {classes} classes, {len(features)} features"
         )
 
 
@@ -339,18 +340,18 @@ def resolve_backend(card: ModelCard) -> str:
     Returns
     -------
     str
-        The backend of the card if it is installed, otherwise another that has the features.
+        Backend in the card if it is installed, otherwise another backend that computes the features.
 
     Raises
     ------
     InputError
-        No installed backend has the features.
+        No installed backend computes the features.
     """
     return select_backend(card.backend, card.features, f"model {card.name}")
 
 
 def describe_version_differences(card: ModelCard) -> str:
-    """Describe how the software of a model differs from this installation.
+    """Describe the differences between the software that made a model and this installation.
 
     Parameters
     ----------
@@ -360,12 +361,12 @@ def describe_version_differences(card: ModelCard) -> str:
     Returns
     -------
     str
-        Differing versions of libraries and parts of the code; "" if there is no difference.
+        Libraries with another version and subpackages with other code; "" if there is no difference.
 
     Raises
     ------
     InputError
-        No installed backend has the features of the model.
+        No installed backend computes the features of the model.
     """
     here = collect_software_versions(resolve_backend(card))
     was, now = card.made_by.versions, here.versions
@@ -379,7 +380,7 @@ def describe_version_differences(card: ModelCard) -> str:
 
 
 def _make_template_record(template: Template) -> TemplateRecord:
-    """Make the record of a template without its pixels."""
+    """Make a record of all fields of a template except its pixels."""
     rows, cols = template.pixels.shape
     place = {name: float(getattr(template, name)) for name in ("row", "col", "pixel_mm")}
     plateau_mm = None if template.plateau_mm is None else float(template.plateau_mm)
@@ -394,12 +395,12 @@ def _load_template(place: TemplateRecord, packed: bytes) -> Template:
 
 
 def _template_file_name(index: int) -> str:
-    """Return the name of a template inside the file."""
+    """Return the name of a template inside the model file."""
     return f"pssf/template_{index}.xz"
 
 
 @lru_cache(maxsize=16)
 def _compress_pixels(pixels: bytes) -> bytes:
     """Compress pixels with LZMA."""
-    # LZMA gives half the size of the compression of ZIP.
+    # LZMA output is half the size of ZIP (deflate) output.
     return lzma.compress(pixels)

@@ -17,18 +17,18 @@ _SHUFFLES = 5
 def compute_permutation_importance(
     pipeline: Pipeline, features: pd.DataFrame, truth: NDArray[np.int64], *, seed: int
 ) -> dict[str, float]:
-    """Compute the mean drop of AUC when each feature is shuffled between the test radiographs (Breiman 2001).
+    """Compute the mean drop of AUC when a feature is shuffled between the test radiographs (Breiman 2001).
 
-    Each feature that the model uses is shuffled five times. The shuffles are those of scikit-learn's
-    `permutation_importance`. All shuffled copies are predicted in one call, because a forest takes nearly as long for
-    one copy as for all.
+    Each feature that the model uses is shuffled five times, with the same permutations as in scikit-learn's
+    `permutation_importance`. All shuffled copies are predicted in one call, because a random forest takes nearly as
+    long for one copy as for all copies.
 
     Parameters
     ----------
     pipeline : Pipeline
         Fitted pipeline.
     features : DataFrame
-        Features (rows, features) of the test part.
+        Features (rows, features) of the test radiographs.
     truth : (rows,) int64 array
         Class 0 or 1 of each row.
     seed : int
@@ -37,12 +37,12 @@ def compute_permutation_importance(
     Returns
     -------
     dict of str to float
-        Drop of AUC of each used feature; empty if a class is missing.
+        Drop of AUC for each feature that the model uses; empty if a class is missing.
     """
     if len(set(truth)) < 2:
         return {}
     kept = pipeline[:-1].transform(features)
-    shuffled = np.repeat(kept[None], 1 + kept.shape[1] * _SHUFFLES, axis=0)  # The first copy stays unshuffled.
+    shuffled = np.repeat(kept[None], 1 + kept.shape[1] * _SHUFFLES, axis=0)  # The first copy is not shuffled.
     for turn, order in enumerate(_make_shuffle_orders(len(kept), seed)):
         for column in range(kept.shape[1]):
             shuffled[1 + column * _SHUFFLES + turn, :, column] = kept[order, column]
@@ -55,7 +55,7 @@ def compute_permutation_importance(
 
 
 def _make_shuffle_orders(rows: int, seed: int) -> list[NDArray[np.int64]]:
-    """Make the row order (rows,) of each shuffle; each shuffles the previous one."""
+    """Make the row order of each shuffle, as (rows,) arrays; each shuffle permutes the previous row order."""
     rng = np.random.RandomState(np.random.RandomState(seed % 2**32).randint(2**31))
     places, order, orders = np.arange(rows), np.arange(rows), []
     for _ in range(_SHUFFLES):
@@ -66,7 +66,7 @@ def _make_shuffle_orders(rows: int, seed: int) -> list[NDArray[np.int64]]:
 
 
 def _compute_decision_values(model: Any, table: Array) -> Array:
-    """Compute a value (rows,) that increases with the probability of class 1, from a table (rows, features)."""
+    """Compute the decision function or the probability of class 1 for each row of a (rows, features) array."""
     if hasattr(model, "decision_function"):
         return np.asarray(model.decision_function(table))
     return np.asarray(model.predict_proba(table)[:, 1])

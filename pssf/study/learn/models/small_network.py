@@ -1,6 +1,6 @@
-"""Small convolutional network on the region at the joint: a baseline without hand-crafted features.
+"""Small convolutional network with the joint region as input: a baseline without hand-crafted features.
 
-The network needs PyTorch (extra ``cnn``), which is imported only when a network is trained.
+The network needs PyTorch (``cnn`` extra), which is imported only when a network is trained.
 """
 
 import math
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ....core.checks import Array
 from ....core.resample import downsample_by_blocks
 
-# Side of the network input, in px: a region of 512 px averaged in blocks of 8.
+# Side length of the network input, in px: a region of 512 px is averaged in blocks of 8 px.
 INPUT_SIDE_PX = 64
 # Number of passes over the training images.
 _EPOCHS = 40
@@ -25,12 +25,12 @@ _RATE = 1e-3
 _DECAY = 1e-4
 # Channels of the three convolutional blocks.
 _CHANNELS = (16, 32, 64)
-# Entry of tables in place of a network.
+# Text in tables for a network that was not trained.
 PYTORCH_MISSING = "not run: PyTorch is not installed (pip install '.[cnn]')"
 
 
 def is_pytorch_installed() -> bool:
-    """Check that PyTorch is installed.
+    """Check whether PyTorch is installed.
 
     Returns
     -------
@@ -41,14 +41,14 @@ def is_pytorch_installed() -> bool:
 
 
 def make_network_input(region: NDArray[np.generic], side: str) -> NDArray[np.float32]:
-    """Downsample a region and take the logarithm of its signal; left knees are mirrored so that medial is on the right.
+    """Downsample a region, take the logarithm, and mirror left knees so that the medial side is on the right.
 
     Parameters
     ----------
     region : (rows, cols) array, DN
-        Region, linear in the signal.
+        Pixel values of the region, linear in the signal.
     side : str
-        "right" or "left".
+        Side of the knee: "right" or "left".
 
     Returns
     -------
@@ -74,13 +74,13 @@ def train_network(
     Parameters
     ----------
     training : tuple of (rows, size, size) float32 array, dimensionless, and (rows,) int64 array
-        Training images of `make_network_input` and their class index.
+        Training images from `make_network_input` and their class indices.
     validation : tuple of (rows, size, size) float32 array, dimensionless, and (rows,) int64 array
-        Validation images and their class index. Without images, the weights of the last epoch are kept.
+        Validation images and their class indices. Without images, the weights of the last epoch are kept.
     classes : int
         Number of classes.
     seed : int
-        Seed of initial weights and of the order of the images.
+        Seed of the initial weights and of the image order.
 
     Returns
     -------
@@ -127,13 +127,13 @@ def train_network(
 
 
 def _compute_class_weights(y: NDArray[np.int64], classes: int) -> NDArray[np.float32]:
-    """Compute the weight (classes,) of each class, inverse to its frequency."""
+    """Compute class weights (classes,) inversely proportional to class frequency."""
     counts = np.bincount(y, minlength=classes)
     return (len(y) / (classes * np.maximum(counts, 1))).astype(np.float32)
 
 
 def _build_network(classes: int) -> Any:
-    """Build three blocks of convolution, normalisation and pooling, then the spatial mean and one linear layer."""
+    """Build three blocks of convolution, normalisation and pooling, followed by global pooling and a linear layer."""
     from torch import nn
 
     layers: list[Any] = []

@@ -1,26 +1,26 @@
-"""Baselines that an image model must outperform: chance, the subject's body, and JSW alone.
+"""Baselines that an image model must outperform: chance, age, sex and stature, and JSW alone.
 
-JSW is the nominal value with which the knee was specified. A reader would measure it with an error. It also defines
-part of a grade, so it is an upper reference and not a fair competitor.
+JSW is the nominal value in the definition of the knee, without the measurement error of a reader. JSW is also one of
+the criteria of a grade. The JSW baseline is therefore an upper reference and not a fair comparison.
 """
 
 import pandas as pd
 
-# Columns of the manifest that baselines use; a baseline without its columns is left out.
+# Columns of the manifest that baselines use; a baseline with missing columns is omitted.
 BASELINE_MANIFEST_COLUMNS = ("sex", "age_years", "stature_mm", "nominal_jsw_medial_mm")
 # Predictors of each baseline.
 _BASELINE_PREDICTORS = {"body": ("age_years", "female", "stature_mm"), "jsw": ("nominal_jsw_medial_mm",)}
 
 
 def find_baselines(table: pd.DataFrame, features: list[str]) -> dict[str, tuple[str, list[str]]]:
-    """Find the baselines whose columns a table has.
+    """Find the baselines whose columns are all in a table.
 
     Parameters
     ----------
     table : DataFrame
-        Radiographs, with the column ``female`` of `knee_parameters.add_sex_indicator`.
+        Radiographs, with the column ``female`` from `knee_parameters.add_sex_indicator`.
     features : list of str
-        Names of the image features; chance is given one and ignores it.
+        Names of the image features. The chance baseline has the first feature as a placeholder and ignores it.
 
     Returns
     -------
@@ -35,16 +35,16 @@ def find_baselines(table: pd.DataFrame, features: list[str]) -> dict[str, tuple[
 
 
 def find_baseline_columns(table: pd.DataFrame) -> list[str]:
-    """Find the columns of a table that any baseline uses.
+    """Find the table columns that a baseline model uses as predictors.
 
     Parameters
     ----------
     table : DataFrame
-        Radiographs.
+        Table of radiographs.
 
     Returns
     -------
     list of str
-        Names of the columns.
+        Names of the columns that baseline models use.
     """
     return [name for columns in _BASELINE_PREDICTORS.values() for name in columns if name in table.columns]

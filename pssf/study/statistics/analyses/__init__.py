@@ -1,4 +1,4 @@
 """Analyses of predictions and features.
 
-They cover leakage, incremental value, learning curves, response curves, sensitivity and confounding.
+The analyses cover leakage, incremental value, learning curves, response curves, sensitivity and confounding.
 """

@@ -1,4 +1,4 @@
-"""Effects of a confounder: apparent gain of a naive model, its cost elsewhere, and recovery by adjustment."""
+"""Effects of a confounder: gain and cost of a naive model, and recovery by adjustment."""
 
 from typing import Any
 
@@ -14,13 +14,16 @@ TIED = "naive model, confounded test set"
 UNTIED = "naive model, balanced test set"
 # Measure: AUC of the adjusted model on test subjects without the association.
 ADJUSTED = "adjusted model, balanced test set"
-# Measure: difference of the naive model's AUC between both test sets.
+# Measure: AUC of the naive model on the confounded test set minus its AUC on the balanced test set.
 GAIN = "gain: confounded minus balanced test set"
-# Measure: loss of the naive model's AUC without the association, relative to training at strength 0.
+# Measure: AUC of training at strength 0 minus AUC of training at this strength, both on the balanced test set.
 COST = "cost: strength 0 minus this strength, balanced test set"
-# Measure: difference of AUC between adjusted and naive model.
+# Measure: AUC of the adjusted model minus AUC of the naive model, both on the balanced test set.
 BACK = "recovery: adjusted minus naive model, balanced test set"
-COLUMNS = ["confounder", "strength", "measure", "trained", "test_subjects", "splits", "value", "low", "high", "p"]
+COLUMNS = [
+    *("confounder", "strength", "measure", "training_subjects", "test_subjects", "splits"),
+    *("value", "low", "high", "p"),
+]
 
 
 def estimate_confounding(splits: pd.DataFrame) -> pd.DataFrame:
@@ -29,7 +32,7 @@ def estimate_confounding(splits: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     splits : DataFrame
-        Results of `learn.confounded_training.evaluate_confounding`.
+        Table from `learn.confounded_training.evaluate_confounding`.
 
     Returns
     -------
@@ -45,7 +48,7 @@ def estimate_confounding(splits: pd.DataFrame) -> pd.DataFrame:
             own, other = part.droplevel("strength"), adjusted.loc[strength]
             free = naive.loc[0.0, "untied"].reindex(own.index)
             ratio = average_test_train_ratio(own)
-            counts = {name: int(own[name].median()) for name in ("trained", "test_subjects")}
+            counts = {name: int(own[name].median()) for name in ("training_subjects", "test_subjects")}
             label = {"confounder": confounder, "strength": strength, **counts}
             for measure, values in ((TIED, own["tied"]), (UNTIED, own["untied"]), (ADJUSTED, other["untied"])):
                 rows.append(label | {"measure": measure} | _estimate_row(values, ratio, estimate_proportion))
@@ -60,7 +63,7 @@ def estimate_confounding(splits: pd.DataFrame) -> pd.DataFrame:
 
 
 def _estimate_row(values: pd.Series, ratio: float, estimator: Any) -> dict[str, Any]:
-    """Estimate one measure from its value on each split."""
+    """Estimate the mean and interval of one measure from its values on the splits."""
     of_splits = estimator(values.to_numpy(np.float64), ratio)
     row = {"splits": int(values.notna().sum()), "value": of_splits.value, "low": of_splits.low, "high": of_splits.high}
     return row | {"p": of_splits.p if estimator is estimate_mean else np.nan}

@@ -1,4 +1,4 @@
-"""True parameters of every knee as numbers, with which features are compared."""
+"""True parameters of every knee as numbers, for comparison with features."""
 
 import json
 
@@ -10,7 +10,7 @@ from ....core.checks import Array
 from ....data.knees.grade_records import RangeGradeTable, SeverityGradeTable
 from ..features.degenerate_features import is_degenerate
 
-# Parameters from which a KL-like grade is sampled: column and label.
+# Parameters whose distributions depend on the KL-like grade: column -> label.
 GRADE_PARAMETERS = {
     "nominal_jsw_medial_mm": "nominal JSW medial, mm",
     "nominal_jsw_lateral_mm": "nominal JSW lateral, mm",
@@ -19,7 +19,7 @@ GRADE_PARAMETERS = {
     "subchondral_plate": "subchondral bone plate, relative",
     "varus_deg": "varus, deg",
 }
-# Other parameters of a knee: column and label.
+# Other parameters of a knee: column -> label.
 SUBJECT_PARAMETERS = {
     "age_years": "age, years",
     "bone_density": "bone density, relative",
@@ -48,7 +48,7 @@ def add_sex_indicator(table: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        The table with the new column, or unchanged if it has no sex.
+        The table with the new column, or unchanged if it has no column ``sex``.
     """
     return table.assign(female=(table["sex"] == "female").astype(float)) if "sex" in table else table
 
@@ -64,7 +64,7 @@ def extract_knee_parameters(manifest: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row per knee: knee, subject, grade, and those of `PARAMETERS` that the manifest has.
+        One row per knee: knee, subject, grade, and all `PARAMETERS` that can be derived from the manifest.
     """
     knees = add_sex_indicator(manifest).drop_duplicates("knee").reset_index(drop=True)
     if "osteophytes" in knees:
@@ -86,7 +86,8 @@ def summarise_composition(table: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns: grade, subjects, knees, radiographs, protocols (number and names). The last row is of all.
+        Columns: grade, subjects, knees, radiographs, protocols (number and names). The last row
+        is the total.
     """
     counted = {"subjects": ("subject", "nunique"), "knees": ("knee", "nunique"), "radiographs": ("knee", "size")}
     rows = table.assign(grade=table["grade"].astype(str)).groupby("grade").agg(**counted).reset_index()
@@ -97,19 +98,20 @@ def summarise_composition(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def summarise_morphology(parameters: pd.DataFrame, table: RangeGradeTable | SeverityGradeTable | None) -> pd.DataFrame:
-    """Compare the allowed range of each parameter with the sampled values, by grade.
+    """Compare the allowed range of each parameter with the sampled values, per grade.
 
     Parameters
     ----------
     parameters : DataFrame
-        Table of `extract_knee_parameters`.
+        Table from `extract_knee_parameters`.
     table : RangeGradeTable or SeverityGradeTable or None
         Grade table from which the knees were sampled; None if unknown.
 
     Returns
     -------
     DataFrame
-        Columns: parameter, grade, low, high (allowed range, NaN without a range), least, mean, most (sampled values).
+        Columns: parameter, grade, range_low, range_high (allowed range, NaN without a range), minimum, mean, maximum
+        (sampled values).
     """
     ranges, rows = table.grade if isinstance(table, RangeGradeTable) else {}, []
     for name, label in PARAMETERS.items():
@@ -117,9 +119,9 @@ def summarise_morphology(parameters: pd.DataFrame, table: RangeGradeTable | Seve
             continue
         for grade, part in parameters.groupby("grade"):
             low, high = getattr(ranges.get(str(grade)), name.removeprefix("nominal_"), (np.nan, np.nan))
-            drawn = {"least": part[name].min(), "mean": part[name].mean(), "most": part[name].max()}
-            rows.append({"parameter": label, "grade": int(grade), "low": low, "high": high, **drawn})
-    columns = ["parameter", "grade", "low", "high", "least", "mean", "most"]
+            drawn = {"minimum": part[name].min(), "mean": part[name].mean(), "maximum": part[name].max()}
+            rows.append({"parameter": label, "grade": int(grade), "range_low": low, "range_high": high, **drawn})
+    columns = ["parameter", "grade", "range_low", "range_high", "minimum", "mean", "maximum"]
     return pd.DataFrame(rows, columns=columns)
 
 
@@ -135,7 +137,7 @@ def correlate_with_parameters(
     names : list of str
         Names of the features.
     parameters : DataFrame
-        Table of `extract_knee_parameters`.
+        Table from `extract_knee_parameters`.
     reference : str
         Reference protocol.
 
@@ -143,7 +145,7 @@ def correlate_with_parameters(
     -------
     DataFrame
         One row per feature and parameter: feature, parameter, rho, and rho_within (correlation of ranks centred within
-        each grade); NaN if either does not vary.
+        each grade); NaN if feature or parameter does not vary.
     """
     columns = [name for name in PARAMETERS if name in parameters]
     part = usable[usable["protocol"] == reference][["knee", *names]].merge(parameters, on="knee", how="left")
@@ -159,7 +161,7 @@ def correlate_with_parameters(
 
 
 def _correlate_columns(feature_ranks: Array, parameter_ranks: Array) -> Array:
-    """Correlate the columns of two arrays whose columns have mean 0; return (features, parameters)."""
+    """Correlate the columns of two arrays whose columns have mean 0; return a (features, parameters) array."""
     with np.errstate(invalid="ignore", divide="ignore"):
         return np.asarray(
             feature_ranks.T
@@ -170,17 +172,17 @@ def _correlate_columns(feature_ranks: Array, parameter_ranks: Array) -> Array:
 
 def _centre_within_grade(ranks: Array, grades: pd.Series) -> Array:
     """Centre the ranks (rows, columns) within each grade."""
-    # Ranks are rounded, so that a parameter that the grade determines does not vary within it.
+    # Rounding removes numerical noise, so a parameter that depends only on grade has no variance within a grade.
     return np.round(ranks - pd.DataFrame(ranks).groupby(grades.to_numpy()).transform("mean").to_numpy(), 9)
 
 
 def select_strongest_correlations(table: pd.DataFrame) -> pd.DataFrame:
-    """Select the parameter that each feature correlates with most.
+    """Select the parameter with the strongest correlation for each feature.
 
     Parameters
     ----------
     table : DataFrame
-        Table of `correlate_with_parameters`.
+        Table from `correlate_with_parameters`.
 
     Returns
     -------
@@ -193,7 +195,7 @@ def select_strongest_correlations(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _compute_centred_ranks(table: pd.DataFrame, names: list[str]) -> Array:
-    """Compute centred ranks (rows, names); 0 for a column that does not vary or has a missing value."""
+    """Compute centred ranks (rows, names); the ranks are 0 for a constant column or one with a missing value."""
     if not names or table.empty:
         return np.zeros((len(table), len(names)))
     columns = [table[name].to_numpy(np.float64) for name in names]

@@ -1,12 +1,12 @@
-"""Checks of a manifest for leakage: ways in which a model could know the grade without the knee.
+"""Checks of a manifest for leakage: information other than the knee image that predicts the grade.
 
-A contradiction raises InputError. An association is reported with its size. A radiograph listed under two subjects
-would be in training and test. If grade and protocol are associated, the protocol predicts the grade, and harmonising
-the protocols also removes the grade.
+Contradictory identifiers raise InputError: a radiograph listed under two subjects would be in training and test set.
+Associations are reported with their size. If grade and protocol are associated, the protocol predicts the grade, and
+harmonisation between protocols also removes differences between grades.
 
-An association is warned of if p < 0.05. At the sizes of such studies, an association that gives an AUC of 0.7 on
-random labels has p of about 0.01. A false warning in one of twenty cohorts, which states this rate, costs less than
-a missed one.
+A warning is given if p < 0.05. In studies of the usual size, an association that gives an AUC of 0.7 on random labels
+has p of about 0.01. A false warning in one of twenty cohorts is preferred to a missed association; the warning states
+this rate.
 """
 
 import re
@@ -19,11 +19,11 @@ from scipy.stats import chi2_contingency, norm, spearmanr
 
 from ....core.checks import InputError
 
-# Columns that must have one value within each value of an identifier.
+# Identifier -> columns that must have a single value for each value of the identifier.
 _UNIQUE_WITHIN = {"sha256": ("subject", "knee"), "knee": ("subject", "grade", "side")}
 # Names of the identifiers in error messages.
 _KEY_LABELS = {"sha256": "file with sha256", "knee": "knee"}
-# Probability of a warning of either kind in a manifest without any association.
+# Significance level of each of the two warnings, dimensionless.
 _ALPHA = 0.05
 _FALSE_ALARM_NOTE = "One in twenty cohorts without such an association gets this warning by chance"
 
@@ -41,7 +41,7 @@ def require_consistent_identifiers(manifest: pd.DataFrame, table_name: str = "ma
     Raises
     ------
     InputError
-        An identifier has two values of such a column.
+        A file has two subjects or knees, or a knee has two subjects, grades or sides.
     """
     for column, others in _UNIQUE_WITHIN.items():
         for other in others:
@@ -53,12 +53,12 @@ def require_consistent_identifiers(manifest: pd.DataFrame, table_name: str = "ma
                 of = f"{first[:12]}..." if column == "sha256" else first
                 raise InputError(
                     f"{table_name}: {_KEY_LABELS[column]} {of} must have one {other}, got {given} "
-                    f"({int((counts > 1).sum())} such)"
+                    f"({int((counts > 1).sum())} cases)"
                 )
 
 
 def find_leakage_warnings(manifest: pd.DataFrame) -> list[str]:
-    """Warn of an association of the grade with the protocol or with the order of the subjects, with its size and p.
+    """Warn of an association between grade and protocol or between grade and the order of the subjects.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def find_leakage_warnings(manifest: pd.DataFrame) -> list[str]:
     Returns
     -------
     list of str
-        One text per warning.
+        One text per warning, with size and p-value of the association.
     """
     sentence, p = _assess_grade_by_protocol(manifest)
     by_protocol = (
@@ -79,7 +79,7 @@ def find_leakage_warnings(manifest: pd.DataFrame) -> list[str]:
 
 
 def find_leakage_notes(manifest: pd.DataFrame) -> list[str]:
-    """Note that grades differ between the protocols, if the difference is too small for a warning.
+    """Report a difference of the grade distributions between protocols that is too small for a warning.
 
     Parameters
     ----------
@@ -89,17 +89,17 @@ def find_leakage_notes(manifest: pd.DataFrame) -> list[str]:
     Returns
     -------
     list of str
-        One note, or none if the protocols have the same grades.
+        One note; empty if the grade distributions are equal or the difference gives a warning.
     """
     sentence, p = _assess_grade_by_protocol(manifest)
     return [f"{sentence} The difference is compatible with chance."] if _ALPHA <= p < 1 else []
 
 
 def _assess_grade_by_protocol(manifest: pd.DataFrame) -> tuple[str, float]:
-    """Describe the association of grade and protocol, and return its p; p is 1 if there is none to describe.
+    """Describe the association between grade and protocol; return the text and the p-value.
 
-    A subject counts once under each protocol with each grade, because two knees of one subject are not independent. A
-    subject under every protocol makes the test more conservative, because it makes the protocols alike.
+    p is 1 if there is only one grade or protocol. Each subject is counted once per protocol and grade, because two
+    knees of one subject are not independent. Subjects imaged under every protocol make the test more conservative.
     """
     witnesses = manifest[["subject", "protocol", "grade"]].drop_duplicates(ignore_index=True)
     counts = pd.crosstab(witnesses["protocol"], witnesses["grade"])
@@ -130,7 +130,7 @@ def _cramers_v(counts: NDArray[np.int64]) -> float:
 
 
 def _find_order_warnings(manifest: pd.DataFrame) -> list[str]:
-    """Warn if the order of the subjects' numbers predicts the grade."""
+    """Warn if the order of the subject identifiers predicts the grade."""
     people = manifest.groupby("subject")["grade"].max()
     grades = people.loc[sorted(people.index, key=_natural_sort_key)].to_numpy()
     if len(grades) < 3 or len(set(grades)) < 2:
@@ -150,24 +150,24 @@ def _find_order_warnings(manifest: pd.DataFrame) -> list[str]:
 
 
 def _natural_sort_key(subject: Any) -> list[Any]:
-    """Make a sort key that puts P2 before P10."""
+    """Make a sort key that compares digits as numbers, so P2 comes before P10."""
     return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", str(subject))]
 
 
 def _assess_neighbours(grades: NDArray[Any]) -> tuple[float, float, float]:
-    """Test whether neighbouring subjects have the same grade more or less often than by chance.
+    """Test whether consecutive subjects have the same grade more or less often than by chance.
 
-    Return the observed fraction, the fraction expected by chance, and the two-sided p. Blocks of a grade have more such
-    neighbours and alternating grades fewer. Their number is the number of subjects minus that of runs (Wald and
-    Wolfowitz; for several kinds Barton and David 1957, Biometrika 44, 168). `grades` is (subjects,), in the order of
-    their numbers.
+    Return the observed fraction of equal pairs, the fraction expected by chance, and the two-sided p-value. Blocks of
+    one grade give more equal pairs, alternating grades fewer. The number of equal pairs is the number of subjects minus
+    the number of runs (Wald and Wolfowitz; for more than two categories Barton and David 1957, Biometrika 44, 168).
+    `grades` is (subjects,), in the order of the subject identifiers.
     """
     n, counts = len(grades), np.unique(grades, return_counts=True)[1].astype(np.float64)
     squares, cubes = (counts**2).sum(), (counts**3).sum()
     expected = (squares - n) / n
     variance = (squares * (squares + n * (n + 1)) - 2 * n * cubes - n**3) / (n**2 * (n - 1))
     pairs = int((grades[1:] == grades[:-1]).sum())
-    # Continuity correction by half a pair, because pairs are whole numbers.
+    # The continuity correction is half a pair because the number of pairs is an integer.
     off = max(0.0, abs(pairs - expected) - 0.5)
     p = 2 * float(norm.sf(off / np.sqrt(variance))) if variance > 0 else 1.0
     return pairs / (n - 1), expected / (n - 1), p

@@ -15,41 +15,53 @@ from .incremental_value_scores import (
     summarise_predictor_sets,
 )
 
-# Two-sided significance level of the tests.
+# Two-sided significance level of the tests, dimensionless.
 _SIGNIFICANCE_LEVEL = 0.05
-# Power for which the number of subjects is computed, as is usual for clinical trials.
+# Power for which the number of subjects is computed; 0.8 is usual in clinical trials.
 TARGET_POWER = 0.8
-# Questions of `QUESTIONS` for which the power is computed.
+# Keys of `QUESTIONS` for which the power is computed.
 _POWER_QUESTIONS = ("do features predict better than measured JSW?", "do features add to measured JSW?")
 _POWER_COLUMNS = [
-    *("question", "grades", "rung", "minus", "difference", "subjects", "splits", "error", "power"),
-    *("needed", "needed_low", "needed_high"),
+    *(
+        "question",
+        "grades",
+        "predictor_set",
+        "reference_set",
+        "difference",
+        "subjects",
+        "splits",
+        "standard_error",
+        "power",
+    ),
+    *("required_subjects", "required_subjects_low", "required_subjects_high"),
 ]
 
 
 def compute_learning_curves(splits: pd.DataFrame) -> pd.DataFrame:
-    """Average the AUC of each predictor set by training fraction, with the gain of each step.
+    """Average the AUC of each predictor set per training fraction and compute the gain from the next smaller fraction.
 
     Parameters
     ----------
     splits : DataFrame
-        Results of `learn.incremental_value.evaluate_predictor_sets` with several training fractions.
+        Table from `learn.incremental_value.evaluate_predictor_sets` with several training fractions.
 
     Returns
     -------
     DataFrame
-        Columns of `summarise_predictor_sets`, and gain, gain_low, gain_high: difference of AUC from the next smaller
-        fraction on the same test subjects, with the variance of the smaller one; NaN for the smallest. Fractions are in
-        ascending order.
+        Columns of `summarise_predictor_sets`, and gain, gain_low, gain_high: difference of AUC to the next smaller
+        fraction on the same test subjects, with an interval; NaN for the smallest fraction. The variance correction
+        uses the number of training subjects of the smaller fraction. Fractions are in ascending order.
     """
-    table = summarise_predictor_sets(splits).sort_values(["grades", "rung", "share"], kind="stable")
-    table = table.drop_duplicates(["grades", "rung", "trained"], keep="last")
+    table = summarise_predictor_sets(splits).sort_values(
+        ["grades", "predictor_set", "training_fraction"], kind="stable"
+    )
+    table = table.drop_duplicates(["grades", "predictor_set", "training_subjects"], keep="last")
     rows = []
-    for (grades, rung), part in table.groupby(["grades", "rung"], sort=False):
-        of = splits[(splits["grades"] == grades) & (splits["rung"] == rung)]
+    for (grades, predictor_set), part in table.groupby(["grades", "predictor_set"], sort=False):
+        of = splits[(splits["grades"] == grades) & (splits["predictor_set"] == predictor_set)]
         before = None
         for row in part.to_dict("records"):
-            here = of[of["share"] == row["share"]].set_index("repeat")
+            here = of[of["training_fraction"] == row["training_fraction"]].set_index("repeat")
             values = dict.fromkeys(("gain", "gain_low", "gain_high"), float("nan"))
             if before is not None:
                 gain = estimate_mean(
@@ -62,14 +74,14 @@ def compute_learning_curves(splits: pd.DataFrame) -> pd.DataFrame:
 
 
 def compute_power(error: float, difference: float, splits: int) -> float:
-    """Compute the power to show a difference of AUC.
+    """Compute the power of the test in `confidence_intervals.estimate_mean` to detect a difference of AUC.
 
-    The power is that of the test of `confidence_intervals.estimate_mean` at 5 %, two-sided.
+    The significance level is 5 %, two-sided.
 
     Parameters
     ----------
     error : float
-        Standard error of the mean over the splits, of `compute_standard_error`.
+        Standard error of the mean over the splits, from `compute_standard_error`.
     difference : float
         True difference of AUC.
     splits : int
@@ -78,48 +90,48 @@ def compute_power(error: float, difference: float, splits: int) -> float:
     Returns
     -------
     float
-        Power, a probability.
+        Power, 0 to 1.
     """
     return _noncentral_t_power(abs(difference) / error, splits - 1)
 
 
 def subjects_needed(error: float, difference: float, splits: int, subjects: int) -> float:
-    """Compute the number of subjects for which a difference is shown with a power of 0.8.
+    """Compute the number of subjects needed to detect a difference of AUC with a power of 0.8.
 
-    The variance of a difference is assumed to fall as 1 / subjects, so its standard error as 1 / sqrt(subjects).
+    The variance of the difference is assumed to be proportional to 1 / subjects.
 
     Parameters
     ----------
     error : float
-        Standard error of the mean over the splits of this cohort.
+        Standard error of the mean over the splits in this cohort.
     difference : float
         True difference of AUC.
     splits : int
         Number of splits.
     subjects : int
-        Number of subjects of this cohort.
+        Number of subjects in this cohort.
 
     Returns
     -------
     float
-        Number of subjects.
+        Required number of subjects.
     """
     shift = brentq(lambda errors: _noncentral_t_power(errors, splits - 1) - TARGET_POWER, 0.1, 100.0)
     return subjects * float(shift * error / abs(difference)) ** 2
 
 
 def _noncentral_t_power(noncentrality: float, degrees_of_freedom: int) -> float:
-    """Compute the power of a two-sided t test; `noncentrality` is the difference in standard errors."""
+    """Compute the power of a two-sided t test; `noncentrality` is the difference divided by its standard error."""
     beyond = float(t_distribution.ppf(1 - _SIGNIFICANCE_LEVEL / 2, degrees_of_freedom))
-    # Beyond five standard errors, a result of the wrong sign has a probability below 1e-8, and scipy may return NaN.
+    # Above five standard errors, a result with the wrong sign has a probability below 1e-8 and scipy may return NaN.
     wrong = float(nct.cdf(-beyond, degrees_of_freedom, noncentrality)) if noncentrality < 5 else 0.0
     return float(nct.sf(beyond, degrees_of_freedom, noncentrality)) + wrong
 
 
 def variance_interval_factors(splits: int) -> tuple[float, float]:
-    """Compute the factors from a variance over splits to the ends of its 95 % interval (chi-square distribution).
+    """Compute the factors between a variance over splits and the limits of its 95 % interval (chi-square).
 
-    The factors are exact for normal values with equal correlations, as those of overlapping splits.
+    The factors are exact for normally distributed values with equal correlations between splits.
 
     Parameters
     ----------
@@ -137,23 +149,25 @@ def variance_interval_factors(splits: int) -> tuple[float, float]:
 
 
 def tabulate_power(splits: pd.DataFrame, subjects: pd.Series, difference: float) -> pd.DataFrame:
-    """Tabulate the power of this cohort and the number of subjects for a power of 0.8.
+    """Tabulate the power in this cohort and the number of subjects needed for a power of 0.8.
 
     Parameters
     ----------
     splits : DataFrame
-        Results of `learn.incremental_value.evaluate_predictor_sets`, trained on all training subjects.
+        Table from `learn.incremental_value.evaluate_predictor_sets`, trained on all training subjects.
     subjects : Series
-        Number of subjects of each pair of grades.
+        Number of subjects of each pair of grades, indexed by the label of the pair.
     difference : float
-        Difference of AUC to show.
+        Difference of AUC to detect.
 
     Returns
     -------
     DataFrame
-        One row per question and pair of grades whose splits differ and whose AUC plus the difference is at most 1.
-        Columns: question, grades, rung, minus, difference, subjects, splits, error (standard error of the mean
-        difference), power, needed, needed_low, needed_high (subjects of both grades for a power of 0.8).
+        One row per question and pair of grades. Rows whose differences do not vary between splits, or for which the
+        reference AUC plus `difference` is above 1, are omitted.
+        Columns: question, grades, predictor_set, reference_set, difference, subjects, splits, standard_error (standard
+        error of the mean difference), power, required_subjects, required_subjects_low, required_subjects_high (subjects
+        of both grades for a power of 0.8).
     """
     rows = []
     for question in _POWER_QUESTIONS:
@@ -168,29 +182,35 @@ def tabulate_power(splits: pd.DataFrame, subjects: pd.Series, difference: float)
                 len(table),
                 compute_standard_error(table["difference"].to_numpy(np.float64), average_test_train_ratio(table)),
             )
-            needed = subjects_needed(error, difference, count, int(subjects[grades]))
-            low, high = (needed * factor for factor in variance_interval_factors(count))
-            label = {"question": question, "grades": grades, "rung": one, "minus": other, "difference": difference}
-            label |= {"subjects": int(subjects[grades]), "splits": count, "error": error}
-            values = {"power": compute_power(error, difference, count), "needed": needed}
-            rows.append({**label, **values, "needed_low": low, "needed_high": high})
+            required = subjects_needed(error, difference, count, int(subjects[grades]))
+            low, high = (required * factor for factor in variance_interval_factors(count))
+            label = {
+                "question": question,
+                "grades": grades,
+                "predictor_set": one,
+                "reference_set": other,
+                "difference": difference,
+            }
+            label |= {"subjects": int(subjects[grades]), "splits": count, "standard_error": error}
+            values = {"power": compute_power(error, difference, count), "required_subjects": required}
+            rows.append({**label, **values, "required_subjects_low": low, "required_subjects_high": high})
     return pd.DataFrame(rows, columns=_POWER_COLUMNS)
 
 
 def compute_power_curve(row: pd.Series, subjects: Array) -> Array:
-    """Compute the power in cohorts of other sizes.
+    """Compute the power for other numbers of subjects.
 
     Parameters
     ----------
     row : Series
-        Row of `tabulate_power`.
+        Row of the table from `tabulate_power`.
     subjects : (n,) float array, counts
-        Numbers of subjects of both grades.
+        Numbers of subjects, summed over the two grades.
 
     Returns
     -------
     (n,) float array
-        Power of each cohort, a probability.
+        Power for each number of subjects, 0 to 1.
     """
-    errors = row["error"] * np.sqrt(row["subjects"] / subjects)
+    errors = row["standard_error"] * np.sqrt(row["subjects"] / subjects)
     return np.array([compute_power(error, row["difference"], int(row["splits"])) for error in errors])

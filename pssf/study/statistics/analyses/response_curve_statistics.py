@@ -1,7 +1,7 @@
-"""Response curves: features, their ICC, the threshold of a model and its AUC at every step of a protocol parameter.
+"""Response curves of features, ICC, decision threshold and AUC along the steps of a protocol parameter.
 
-Statistics of features use all knees with response curves, with intervals over the knees. Statistics of models use
-the splits, with the intervals of `confidence_intervals`.
+Feature statistics are computed from all knees with response curves, and their intervals are over knees. Model
+statistics are averaged over the splits, with intervals from `confidence_intervals`.
 """
 
 from collections.abc import Callable
@@ -20,19 +20,19 @@ from ..scores.confidence_intervals import estimate_mean, estimate_proportion
 from ..scores.metrics import mean_with_interval, percentile_interval
 from ..scores.tested_subjects import TEST_COUNT_COLUMNS
 
-# Measure: change of a feature in SD of the cohort's knees.
+# Measure: change of a feature from the cohort to the step, in SD over the knees of the cohort.
 SHIFT = "feature, SD"
-# Measure: ICC(2,1) of a feature with its value in the cohort.
+# Measure: ICC(2,1) between a feature at the step and in the cohort.
 ICC = "ICC(2,1)"
 # Measure: median of the ICC(2,1) over the features.
 MEDIAN_ICC = "median ICC(2,1)"
-# Measure: change of the log odds, by which a threshold would have to move.
+# Measure: mean change of the log odds, which is the shift of the decision threshold that would compensate it.
 ODDS = "threshold shift, log odds"
 # Measure: AUC of the model.
 AUC = "AUC"
 # Measure: AUC in the cohort minus AUC at the step.
 LOSS = "loss of AUC"
-COLUMNS = ["axis", "turn", "step", "measure", "feature", "knees", "rarest", "value", "low", "high"]
+COLUMNS = ["axis", "step_index", "step", "measure", "feature", "knees", "rarest", "value", "low", "high"]
 # Function from an axis and the number of a step, counted from 1, to the value of the step.
 StepLookup = Callable[[str, int], float]
 
@@ -44,9 +44,9 @@ class FeatureCurves:
     Attributes
     ----------
     table : DataFrame
-        Rows with the columns `COLUMNS`.
+        Response curves, with the columns `COLUMNS`.
     median_icc_samples : dict of tuple to (1 + replicates,) float array
-        Median ICC of each axis and step: of all knees, then of each bootstrap sample.
+        Median ICC over the features for each axis and step: first for all knees, then for each bootstrap sample.
     """
 
     table: pd.DataFrame
@@ -58,18 +58,18 @@ def compute_feature_curves(
 ) -> FeatureCurves:
     """Compute the shift and the ICC(2,1) of every feature at every step.
 
-    The shift is in SD of the cohort's knees. The ICC compares with the value in the cohort.
+    The shift is the change from the cohort in SD over the knees of the cohort. The ICC is between step and cohort.
 
     Parameters
     ----------
     base : DataFrame
         Radiographs of the cohort under the reference protocol, with a located region: knee, subject and features.
     steps : DataFrame
-        Radiographs along the axes, with a located region: knee, subject, kind (axis), turn and features.
+        Radiographs along the axes, with a located region: knee, subject, kind (axis), repeat_index and features.
     names : list of str
         Names of the features.
     step : callable
-        Function from an axis and the number of a step to its value.
+        Function from the name of an axis and the number of a step to the value of the step.
     replicates : int
         Number of bootstrap samples.
     seed : int
@@ -78,20 +78,21 @@ def compute_feature_curves(
     Returns
     -------
     FeatureCurves
-        Rows of all features, and the median ICC in the bootstrap samples.
+        Curves of all features, and the median ICC in the bootstrap samples.
     """
     spread = base[names].std(ddof=1).to_numpy(np.float64)
     varies = [index for index, name in enumerate(names) if not is_degenerate(base[name].to_numpy())]
     own = base.drop_duplicates("knee").set_index("knee")[names]
     steps = steps[steps["knee"].isin(own.index)]
     curved = steps.drop_duplicates("knee").sort_values("knee")
-    # The bootstrap is sampled once, so that a sample has the same subjects at every step, even if a region is missing.
+    # Weights are sampled once, so each bootstrap sample has the same subjects at every step, even with missing regions.
     weights = sample_knee_weights(curved["subject"].to_numpy(), replicates=replicates, seed=seed)
     rows, medians = [], {}
-    for (axis, turn), part in steps.groupby(["kind", "turn"], sort=False):
+    for (axis, step_index), part in steps.groupby(["kind", "repeat_index"], sort=False):
         part = part.sort_values("knee")
         values = np.stack([own.loc[part["knee"]].to_numpy(np.float64), part[names].to_numpy(np.float64)], axis=1)
-        label = {"axis": axis, "turn": int(turn), "step": step(str(axis), int(turn)), "knees": len(part)}
+        value = step(str(axis), int(step_index))
+        label = {"axis": axis, "step_index": int(step_index), "step": value, "knees": len(part)}
         there, samples = curved["knee"].isin(part["knee"]).to_numpy(), []
         for index in varies:
             one, whole = values[:, :, index], is_complete(values[:, :, index])
@@ -105,7 +106,7 @@ def compute_feature_curves(
                 rows.append(label | {"measure": ICC, "feature": names[index]} | agreement)
                 samples.append(np.concatenate([[agreement["value"]], drawn]))
         if samples:
-            medians[str(axis), int(turn)] = median = np.nanmedian(samples, axis=0)
+            medians[str(axis), int(step_index)] = median = np.nanmedian(samples, axis=0)
             low, high = percentile_interval(median[1:])
             bounds = {"value": float(median[0]), "low": low, "high": high}
             rows.append(label | {"measure": MEDIAN_ICC, "feature": ""} | bounds)
@@ -113,9 +114,9 @@ def compute_feature_curves(
 
 
 def _estimate_agreement(values: Array, weights: Array, subjects: NDArray[Any]) -> tuple[dict[str, float], Array | None]:
-    """Compute the ICC(2,1) of values (knees, 2) with its interval, and the ICC of each bootstrap sample.
+    """Compute ICC(2,1) of values (knees, 2) with its interval, and ICC(2,1) of each bootstrap sample.
 
-    Return an empty dict and None if there is no ICC.
+    Return an empty dict and None if the ICC is undefined.
     """
     value = icc(values)[0]
     if not np.isfinite(value):
@@ -126,30 +127,31 @@ def _estimate_agreement(values: Array, weights: Array, subjects: NDArray[Any]) -
 
 
 def _estimate_shift(values: Array) -> dict[str, float]:
-    """Compute the mean change of values (knees, 2) in SD, with the interval of a paired t test."""
+    """Compute the mean difference between the columns of values (knees, 2), with the interval of a paired t test."""
     return dict(zip(("value", "low", "high"), mean_with_interval(values[:, 1] - values[:, 0]), strict=True))
 
 
 def compute_model_curves(splits: pd.DataFrame, step: StepLookup) -> pd.DataFrame:
     """Compute threshold shift, AUC and loss of AUC of a model at every step.
 
-    The loss is relative to the cohort's radiographs of the same knees.
+    The loss is the AUC on the cohort radiographs of the same knees minus the AUC at the step.
 
     Parameters
     ----------
     splits : DataFrame
-        Results of `learn.response_curves.evaluate_response_curves`.
+        Table from `learn.response_curves.evaluate_response_curves`.
     step : callable
-        Function from an axis and the number of a step to its value.
+        Function from the name of an axis and the number of a step to the value of the step.
 
     Returns
     -------
     DataFrame
-        Columns `COLUMNS`; knees is the number of test subjects per split, rarest that of the rarest class.
+        Columns `COLUMNS`. The column knees is the number of test subjects per split, and rarest is the number of test
+        subjects of the rarest class.
     """
     rows = []
-    for (axis, turn), part in splits.groupby(["axis", "turn"], sort=False):
-        label = {"axis": axis, "turn": int(turn), "step": step(str(axis), int(turn)), "feature": ""}
+    for (axis, step_index), part in splits.groupby(["axis", "step_index"], sort=False):
+        label = {"axis": axis, "step_index": int(step_index), "step": step(str(axis), int(step_index)), "feature": ""}
         label |= {
             name: int(part[count].median()) for name, count in zip(("knees", "rarest"), TEST_COUNT_COLUMNS, strict=True)
         }
@@ -166,23 +168,23 @@ def compute_model_curves(splits: pd.DataFrame, step: StepLookup) -> pd.DataFrame
 
 
 def _compute_correlation_ratio(part: pd.DataFrame) -> float:
-    """Compute the ratio of Nadeau and Bengio for splits that test one half of the subjects with response curves.
+    """Compute the variance correction ratio of Nadeau and Bengio for response curves.
 
-    Two halves share half of their subjects, so their scores correlate by tested / curved, whoever trains. The ratio is
-    that correlation divided by 1 minus it.
+    Each split tests half of the subjects with response curves, so the test sets of two splits overlap. The correlation
+    between two scores is r = tested subjects / subjects with curves. The ratio is r / (1 - r).
     """
     return float((part["test_subjects"] / (part["curved"] - part["test_subjects"])).mean())
 
 
 def find_first_crossing(positions: Array, margin: Array) -> float:
-    """Find where a margin first falls below 0, by linear interpolation between steps.
+    """Find the position at which a margin first falls below 0, by linear interpolation between steps.
 
     Parameters
     ----------
     positions : (steps,) float array, any unit
-        Positions of the steps from the first on, rising or falling.
+        Positions of the steps, in ascending or descending order.
     margin : (steps,) float array, any unit
-        Margin at each step; a step without a number counts as below 0.
+        Margin at each step; NaN is treated as below 0.
 
     Returns
     -------

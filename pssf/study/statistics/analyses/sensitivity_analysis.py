@@ -1,4 +1,4 @@
-"""Sensitivity analysis of features: Sobol indices of groups of parameters, and local slopes with the noise held."""
+"""Sensitivity analysis of features: Sobol indices of parameter groups, and local slopes at constant noise."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -16,7 +16,7 @@ SOBOL_COLUMNS = ["feature", "group", "samples", "first", "first_low", "first_hig
 SLOPE_COLUMNS = ["feature", "parameter", "knees", "slope", "slope_low", "slope_high"]
 # Number of bootstrap samples for the intervals of Sobol indices.
 _BOOTSTRAP_RESAMPLES = 400
-# Smallest number of complete samples; intervals cover 95 % with as many, but not with fewer.
+# Smallest number of complete samples; with fewer samples, the coverage of the intervals is below 95 %.
 _MIN_COMPLETE_SAMPLES = 32
 # Confidence level of the intervals.
 _CONFIDENCE_LEVEL = 0.95
@@ -28,14 +28,14 @@ def compute_sobol_indices(
     """Compute the first-order and total Sobol index of every parameter group for every feature.
 
     The first-order index is the fraction of variance that a group explains alone. The total index includes its
-    interactions with other groups (Saltelli 2010; Jansen 1999). The intervals are those of SALib, by a bootstrap of the
-    samples. An estimate may lie outside 0 to 1, even far, if one radiograph causes most of the variance of a feature.
-    The intervals of such features cover less.
+    interactions with other groups (Saltelli 2010; Jansen 1999). The intervals are those of SALib, from a
+    bootstrap of the samples. If one radiograph causes most of the variance of a feature, an estimate may be far below 0
+    or above 1. The coverage of the intervals of these features is below 95 %.
 
     Parameters
     ----------
     table : DataFrame
-        Radiographs of `sensitivity_plan.plan_sobol_samples` with a located region: turn and features.
+        Radiographs planned by `sensitivity_plan.plan_sobol_samples`, with a located region: repeat_index and features.
     names : list of str
         Names of the features.
     bounds : mapping of str to tuple of float
@@ -48,13 +48,12 @@ def compute_sobol_indices(
     Returns
     -------
     DataFrame
-        Columns `SOBOL_COLUMNS`. Samples with a missing radiograph are left out, and so are features with too few
-        samples.
+        Columns `SOBOL_COLUMNS`. Samples with a missing radiograph are omitted, as are features with too few samples.
     """
     problem = build_salib_problem(bounds)
     groups = list(dict.fromkeys(problem["groups"]))
     values = np.full((samples * (len(groups) + 2), len(names)), np.nan)
-    values[table["turn"].to_numpy(np.int64) - 1] = table[names].to_numpy(np.float64)
+    values[table["repeat_index"].to_numpy(np.int64) - 1] = table[names].to_numpy(np.float64)
     blocks = values.reshape(samples, len(groups) + 2, len(names))
     rows: list[dict[str, Any]] = []
     for index, name in enumerate(names):
@@ -67,7 +66,7 @@ def compute_sobol_indices(
             calc_second_order=False,
             num_resamples=_BOOTSTRAP_RESAMPLES,
             conf_level=_CONFIDENCE_LEVEL,
-            seed=1 + seed % 2**32,  # SALib treats the seed 0 as no seed.
+            seed=1 + seed % 2**32,  # SALib ignores a seed of 0.
         )
         for place, group in enumerate(groups):
             row: dict[str, Any] = {"feature": name, "group": group, "samples": len(whole)}
@@ -85,18 +84,18 @@ def compute_slopes(
     names: list[str],
     bounds: Mapping[str, tuple[float, float]],
 ) -> pd.DataFrame:
-    """Compute the change of every feature per SD of one parameter, in SD of the cohort's knees.
+    """Compute the slope of every feature against each parameter, in SD of the feature per SD of the parameter.
 
-    The slope is the mean over the knees, with the interval of a t test. The SD of a parameter is that of a uniform
-    distribution over its span.
+    The slope is the mean over the knees, with the interval of a t test. The SD of a feature is over the knees of the
+    cohort. The SD of a parameter is the SD of a uniform distribution between its bounds.
 
     Parameters
     ----------
     base : DataFrame
         Radiographs of the cohort under the reference protocol, with a located region: knee and features.
     pairs : DataFrame
-        Radiographs of `sensitivity_plan.plan_sensitivity_pairs` with a located region: of_knee, kind (parameter),
-        columns of a manifest and features.
+        Radiographs planned by `sensitivity_plan.plan_sensitivity_pairs`, with a located region: source_knee, kind
+        (parameter), columns of a manifest and features.
     manifest : DataFrame
         Manifest of the cohort under the reference protocol.
     names : list of str
@@ -114,10 +113,11 @@ def compute_slopes(
     spread = own.std(ddof=1).to_numpy(np.float64)
     after = _add_largest_osteophyte(pairs)
     rows: list[dict[str, Any]] = []
-    for parameter, part in after[after["of_knee"].isin(own.index)].groupby("kind", sort=False):
+    for parameter, part in after[after["source_knee"].isin(own.index)].groupby("kind", sort=False):
         span = bounds[str(parameter)][1] - bounds[str(parameter)][0]
-        step = part[str(parameter)].to_numpy(np.float64) - before.loc[part["of_knee"], str(parameter)].to_numpy(float)
-        change = part[names].to_numpy(np.float64) - own.loc[part["of_knee"]].to_numpy(np.float64)
+        values, knees = part[str(parameter)].to_numpy(np.float64), part["source_knee"]
+        step = values - before.loc[knees, str(parameter)].to_numpy(float)
+        change = part[names].to_numpy(np.float64) - own.loc[knees].to_numpy(np.float64)
         with np.errstate(invalid="ignore", divide="ignore"):
             slope = change / step[:, None] * span / np.sqrt(12) / spread
         for index, name in enumerate(names):
@@ -130,7 +130,7 @@ def compute_slopes(
 
 
 def _add_largest_osteophyte(table: pd.DataFrame) -> pd.DataFrame:
-    """Add the size of the largest osteophyte of each row, in mm."""
+    """Add the column ``largest_osteophyte_mm`` to a manifest."""
     largest = extract_knee_parameters(table.assign(knee=range(len(table)))).get("largest_osteophyte_mm")
     return table.assign(largest_osteophyte_mm=0.0 if largest is None else largest.to_numpy())
 
@@ -140,21 +140,21 @@ def merge_sensitivity_tables(
 ) -> pd.DataFrame:
     """Merge correlations, slopes and total Sobol indices of each feature and parameter.
 
-    The total index is that of the parameter's group. A parameter of the protocol has no correlation.
+    The total Sobol index belongs to the group of the parameter. Protocol parameters have no correlation.
 
     Parameters
     ----------
     correlations : DataFrame
-        Table of `knee_parameters.correlate_with_parameters`.
+        Table from `knee_parameters.correlate_with_parameters`.
     slope_table : DataFrame
-        Table of `compute_slopes`; may be empty.
+        Table from `compute_slopes`; it may be empty.
     sobol_table : DataFrame
-        Table of `compute_sobol_indices`; may be empty.
+        Table from `compute_sobol_indices`; it may be empty.
 
     Returns
     -------
     DataFrame
-        One row per feature and parameter.
+        One row per feature and parameter, with correlations, slope and total Sobol index.
     """
     groups = {parameter.label: parameter.group for parameter in PARAMETER_SPACE.values()}
     table = correlations.merge(slope_table.drop(columns="knees"), on=["feature", "parameter"], how="outer", sort=False)

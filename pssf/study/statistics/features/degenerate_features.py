@@ -1,11 +1,11 @@
-"""Degenerate features, which carry no information."""
+"""Test for degenerate features: constant or non-finite features, which contain no information."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 
 def is_degenerate(values: NDArray[np.float64]) -> bool:
-    """Check that a feature is constant except for rounding, or has a value that is not finite.
+    """Check whether a feature is constant except for rounding errors or has a non-finite value.
 
     Parameters
     ----------
@@ -15,7 +15,7 @@ def is_degenerate(values: NDArray[np.float64]) -> bool:
     Returns
     -------
     bool
-        True if the feature carries no information.
+        True if the feature contains no information.
     """
     if not np.isfinite(values).all():
         return True

@@ -1,12 +1,19 @@
-"""Numbers of selected features and training subjects, and the chosen hyperparameters."""
+"""Number of features per training subject, and chosen hyperparameters."""
 
 import pandas as pd
 
 from ...design.classification_tasks import TASKS
 
 _TRAINING_COLUMNS = ["task", "trained_on", "selection"]
-_COLUMNS = [*_TRAINING_COLUMNS, "subjects", "measured", "offered", "kept", "subjects_per_feature"]
-_COUNT_COLUMNS = ("subjects", "measured", "offered", "kept")
+_COLUMNS = [
+    *_TRAINING_COLUMNS,
+    "subjects",
+    "features_measured",
+    "features_offered",
+    "features_selected",
+    "subjects_per_feature",
+]
+_COUNT_COLUMNS = ("subjects", "features_measured", "features_offered", "features_selected")
 _TUNING_COLUMNS = ["task", "trained_on", "model", "selection"]
 
 
@@ -17,7 +24,7 @@ def count_dimensions(
     usable: pd.DataFrame,
     feature_count: int,
 ) -> pd.DataFrame:
-    """Count features and training subjects of each training, on the split with the fewest subjects per feature.
+    """Count features and training subjects, on the split with the fewest training subjects per feature.
 
     Ten subjects per feature are a common minimum (Kocak 2024, METRICS item 16).
 
@@ -26,9 +33,9 @@ def count_dimensions(
     importances : DataFrame
         Importances of all splits: `ARM_COLUMNS` without ``tested_on``, repeat, feature.
     selection_candidates : DataFrame
-        Features left after pruning: task, trained_on, selection, repeat, feature.
+        Features that remain after pruning: task, trained_on, selection, repeat, feature.
     subjects : DataFrame
-        Part of each subject: repeat, subject, part.
+        Columns repeat, subject and part (training, validation or test).
     usable : DataFrame
         Subject and grade of every radiograph.
     feature_count : int
@@ -37,9 +44,9 @@ def count_dimensions(
     Returns
     -------
     DataFrame
-        One row per task, training protocol and selection. subjects: training subjects of the grades of the task.
-        measured, offered and kept: features measured, offered to the selection (if known) and selected.
-        subjects_per_feature: subjects per selected feature.
+        One row per task, training protocol and selection. subjects: number of training subjects with a
+        grade of the task. features_measured, features_offered and features_selected: number of features that are
+        measured, remain after pruning (if known) and are selected. subjects_per_feature: subjects per selected feature.
     """
     grades = usable.groupby("subject")["grade"].agg(set)
     training = subjects[subjects["part"] == "training"].groupby("repeat")["subject"].agg(list)
@@ -48,31 +55,32 @@ def count_dimensions(
         recipe = dict(zip(_TRAINING_COLUMNS, key, strict=True))
         wanted = set(sum(TASKS[recipe["task"]], ()))
         kept = part.groupby("repeat")["feature"].nunique()
-        of_split = pd.DataFrame({"kept": kept})
+        of_split = pd.DataFrame({"features_selected": kept})
         of_split["subjects"] = [sum(bool(grades[one] & wanted) for one in training[repeat]) for repeat in kept.index]
-        of_split["subjects_per_feature"] = of_split["subjects"] / of_split["kept"]
+        of_split["subjects_per_feature"] = of_split["subjects"] / of_split["features_selected"]
         least = of_split["subjects_per_feature"].idxmin()
         pruned = selection_candidates[
             (selection_candidates[_TRAINING_COLUMNS] == pd.Series(recipe)).all(axis=1)
             & (selection_candidates["repeat"] == least)
         ]
-        counts = {"measured": feature_count, "offered": len(pruned) or pd.NA}
+        counts = {"features_measured": feature_count, "features_offered": len(pruned) or pd.NA}
         rows.append({**recipe, **of_split.loc[least].to_dict(), **counts})
     return pd.DataFrame(rows, columns=_COLUMNS).astype(dict.fromkeys(_COUNT_COLUMNS, "Int64"))
 
 
 def count_tuned_values(tuning: pd.DataFrame) -> pd.DataFrame:
-    """Count how often the validation subjects chose each value of a hyperparameter.
+    """Count how often each value of a hyperparameter was chosen on the validation subjects.
 
     Parameters
     ----------
     tuning : DataFrame
-        Chosen values of all splits, of `SplitOutcome.tuning`.
+        Chosen values on all splits, from `SplitOutcome.tuning`.
 
     Returns
     -------
     DataFrame
-        One row per arm, hyperparameter and value, the most frequent first, with the number of splits.
+        One row per task, training protocol, model, selection, hyperparameter and value, with the number of splits. The
+        most frequent value comes first.
     """
     if tuning.empty:
         return pd.DataFrame(columns=[*_TUNING_COLUMNS, "parameter", "value", "splits"])

@@ -5,12 +5,12 @@ import pandas as pd
 from ....radiomics.features.feature_families import FAMILIES, feature_family
 from ...design.study_settings import StudySettings
 
-# Number of leading features that figures show one by one.
+# Number of features with the largest importance that figures show individually.
 _LEADING_COUNT = 5
 
 
-def average_by_feature(importances: pd.DataFrame, splits: int, value: str = "share") -> pd.DataFrame:
-    """Average the importance of each feature over all splits; a split that did not select it counts as 0.
+def average_by_feature(importances: pd.DataFrame, splits: int, value: str = "importance") -> pd.DataFrame:
+    """Average the importance of each feature over all splits; it is 0 on splits that did not select the feature.
 
     Parameters
     ----------
@@ -18,31 +18,32 @@ def average_by_feature(importances: pd.DataFrame, splits: int, value: str = "sha
         Importances of all splits: model, selection, feature and `value`.
     splits : int
         Number of splits.
-    value : str, default "share"
-        Column to average.
+    value : str, default "importance"
+        Name of the column to average.
 
     Returns
     -------
     DataFrame
-        Columns: model, selection, feature, `value`, and chosen (number of splits that selected it).
+        Columns: model, selection, feature, `value`, and selection_frequency (number of splits that selected the
+        feature).
     """
     columns = ["model", "selection", "feature", value]
     if importances.empty:
-        return pd.DataFrame(columns=[*columns, "chosen"])
+        return pd.DataFrame(columns=[*columns, "selection_frequency"])
     grouped = importances.groupby(columns[:3], sort=False)[value]
-    means = grouped.agg(**{value: lambda values: values.sum() / splits, "chosen": "count"}).reset_index()
+    means = grouped.agg(**{value: lambda values: values.sum() / splits, "selection_frequency": "count"}).reset_index()
     return means.sort_values(["model", "selection", value], ascending=[True, True, False], ignore_index=True)
 
 
-def sum_by_family(features: pd.DataFrame, value: str = "share") -> pd.DataFrame:
+def sum_by_family(features: pd.DataFrame, value: str = "importance") -> pd.DataFrame:
     """Sum the mean importances of each feature family.
 
     Parameters
     ----------
     features : DataFrame
-        Table of `average_by_feature`.
-    value : str, default "share"
-        Column to sum.
+        Table from `average_by_feature`.
+    value : str, default "importance"
+        Name of the column to sum.
 
     Returns
     -------
@@ -59,9 +60,9 @@ def select_leading_features(features: pd.DataFrame, settings: StudySettings) -> 
     Parameters
     ----------
     features : DataFrame
-        Table of `average_by_feature`.
+        Table from `average_by_feature`.
     settings : StudySettings
-        Settings; the first selection is used.
+        Settings of the study; only the first feature selection is used.
 
     Returns
     -------
@@ -69,5 +70,5 @@ def select_leading_features(features: pd.DataFrame, settings: StudySettings) -> 
         Names of at most five features.
     """
     part = features[features["selection"] == settings.selections[0]]
-    means = part.groupby("feature")["share"].sum().sort_values(ascending=False, kind="stable")
+    means = part.groupby("feature")["importance"].sum().sort_values(ascending=False, kind="stable")
     return [str(name) for name in means.index[:_LEADING_COUNT]]

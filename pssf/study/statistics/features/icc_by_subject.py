@@ -1,9 +1,9 @@
-"""Intervals of ICCs by a bootstrap of subjects, each with all knees; the conditions are fixed.
+"""Confidence intervals of ICCs from a bootstrap of subjects with all their knees; the conditions are fixed.
 
-Plain percentiles of the bootstrap ICCs are too narrow. With 10 to 60 subjects of two knees they cover a true ICC of
-0.3 to 0.99 in 87 to 95 % of cases. Here the interval uses Fisher's z (1925, Statistical Methods, section 38), in which
-an ICC is about normal, with the bootstrap SD and t quantiles. It covers in 93 to 96 %. Neither method covers well for
-features as skewed as a lognormal variable.
+Percentile intervals of the bootstrap ICCs are too narrow. With 10 to 60 subjects of two knees and a true ICC of 0.3 to
+0.99, their coverage is 87 to 95 %. This module transforms the ICC to Fisher's z (1925, Statistical Methods, section
+38), which is approximately normal. The interval uses the bootstrap SD of z and t quantiles; its coverage is 93 to 96 %.
+For features as skewed as a lognormal variable, the coverage of both methods is too low.
 """
 
 from typing import Any
@@ -14,21 +14,21 @@ from scipy.stats import t as t_distribution
 
 from ....core.checks import Array
 
-# Key of the random stream of the bootstrap, below the seed of the study; `claims` uses another key.
+# Key of the random stream of the bootstrap, after the seed of the study; `claims` uses another key.
 _STREAM = 2**31 + 2
-# ICCs are clipped to this distance from the ends of their range, so that Fisher's z is finite.
+# Smallest distance of an ICC from the limits of its range, dimensionless; clipping keeps Fisher's z finite.
 _ICC_MARGIN = 1e-12
-# Lower and upper end.
+# Lower and upper limit of a confidence interval.
 Interval = tuple[float, float]
 
 
 def sample_knee_weights(subjects: NDArray[Any], *, replicates: int, seed: int) -> Array:
-    """Sample how often each knee is in a bootstrap sample of the subjects.
+    """Sample how often each knee occurs in each bootstrap sample of the subjects.
 
     Parameters
     ----------
     subjects : (knees,) array
-        Subject of each knee, as number or text.
+        Subject identifier of each knee, as number or text.
     replicates : int
         Number of bootstrap samples.
     seed : int
@@ -37,7 +37,7 @@ def sample_knee_weights(subjects: NDArray[Any], *, replicates: int, seed: int) -
     Returns
     -------
     (replicates, knees) float64 array
-        Counts.
+        Number of times that each knee occurs in each bootstrap sample.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_STREAM,)))
     known, place = np.unique(subjects, return_inverse=True)
@@ -53,18 +53,18 @@ def compute_icc_form_intervals(
     Parameters
     ----------
     forms : tuple of float
-        Both ICCs of all knees.
+        ICC(2,1) and ICC(3,1) over all knees.
     values : (knees, conditions) float array, any unit
-        Finite values that are not all the same.
+        Values of one feature, finite and not all the same.
     weights : (replicates, knees) float array, counts
-        Number of times that each knee is in each bootstrap sample.
+        Number of times that each knee occurs in each bootstrap sample.
     subjects : int
         Number of subjects.
 
     Returns
     -------
     tuple of tuple of float
-        Lower and upper end of each form.
+        Lower and upper limit for ICC(2,1) and for ICC(3,1).
     """
     own = {"conditions": values.shape[1], "subjects": subjects}
     return tuple(
@@ -79,7 +79,7 @@ def compute_icc_interval(value: float, bootstrap_icc: Array, *, conditions: int,
     Parameters
     ----------
     value : float
-        ICC of all knees.
+        ICC over all knees.
     bootstrap_icc : (replicates,) float array, dimensionless
         ICC of each bootstrap sample.
     conditions : int
@@ -90,17 +90,18 @@ def compute_icc_interval(value: float, bootstrap_icc: Array, *, conditions: int,
     Returns
     -------
     tuple of float
-        Lower and upper end; NaN if no sample has an ICC.
+        Lower and upper limit; NaN if the ICC is undefined in all bootstrap samples.
     """
     known = bootstrap_icc[np.isfinite(bootstrap_icc)]
     if not len(known) or not np.isfinite(value):
         return float("nan"), float("nan")
     z = _fisher_z(np.array([value, *known]), conditions)
-    if not np.ptp(z[1:]):  # Rounding would give the interval a width, from which a claim would be decided.
+    # For equal values, rounding errors would give the interval a nonzero width, and a claim could be decided.
+    if not np.ptp(z[1:]):
         return value, value
     half = t_distribution.ppf(0.975, max(1, subjects - 1)) * z[1:].std()
     low, high = _inverse_fisher_z(z[0] + half * np.array([-1.0, 1.0]), conditions)
-    # The interval must include the ICC itself, which clipping moves if it is 1.
+    # Clipping changes an ICC of 1, so the limits are extended to include the ICC.
     return float(min(low, value)), float(max(high, value))
 
 
@@ -123,16 +124,16 @@ def compute_weighted_icc(values: Array, weights: Array) -> tuple[Array, Array]:
     Parameters
     ----------
     values : (knees, conditions) float array, any unit
-        Finite values that are not all the same.
+        Values of one feature, finite and not all the same.
     weights : (replicates, knees) float array, counts
-        Number of times that each knee is in each sample.
+        Number of times that each knee occurs in each sample.
 
     Returns
     -------
     agreement : (replicates,) float array
-        ICC(2,1).
+        ICC(2,1) of each sample.
     consistency : (replicates,) float array
-        ICC(3,1).
+        ICC(3,1) of each sample.
     """
     conditions = values.shape[1]
     z = (values - values.mean()) / values.std()

@@ -3,12 +3,12 @@
 import numpy as np
 import pandas as pd
 
-# Error from which a location is a gross error, in mm: about one joint space width, so the region shows another site.
+# Smallest gross localisation error, in mm: about one joint space width, so the region is at another anatomical site.
 GROSS_ERROR_MM = 5.0
 
 
 def add_localisation_errors(table: pd.DataFrame) -> pd.DataFrame:
-    """Add the distance between the located and the true joint line.
+    """Add the distance between located and true medial joint line to a table of radiographs.
 
     Parameters
     ----------
@@ -32,19 +32,19 @@ def add_localisation_errors(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def summarise_localisation(table: pd.DataFrame) -> pd.DataFrame:
-    """Summarise the localisation errors by protocol and grade, and for all radiographs.
+    """Summarise the localisation errors per protocol and grade, and over all radiographs.
 
     Parameters
     ----------
     table : DataFrame
-        Radiographs of `add_localisation_errors`, with protocol, grade, score and status.
+        Radiographs from `add_localisation_errors`, with protocol, grade, score and status.
 
     Returns
     -------
     DataFrame
-        One row per protocol and grade, and one for all: numbers of radiographs and of those without a located region by
-        cause; of the others, mean and 95th percentile of the error, mean error along rows and columns, number of errors
-        above 5 mm, and lowest score.
+        One row per protocol and grade, and one row for all radiographs. Columns: number of radiographs; number without
+        a located region, by cause; mean and 95th percentile of the error; mean error along rows and columns; number of
+        errors above 5 mm; lowest template-matching score.
     """
     rows = [
         {"protocol": protocol, "grade": str(grade), **_summarise_errors(part)}
@@ -55,11 +55,11 @@ def summarise_localisation(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _summarise_errors(part: pd.DataFrame) -> dict[str, float]:
-    """Summarise the localisation errors of some radiographs."""
+    """Summarise the localisation errors of one group of radiographs."""
     accepted = part[part["status"] == "found"]
     return {
         "radiographs": len(part),
-        "refused": int((~part["status"].isin(["found", "leaves image"])).sum()),
+        "rejected": int((~part["status"].isin(["found", "leaves image"])).sum()),
         "leaves_image": int((part["status"] == "leaves image").sum()),
         "mean_px": accepted["error_px"].mean(),
         "p95_px": accepted["error_px"].quantile(0.95),
@@ -67,6 +67,6 @@ def _summarise_errors(part: pd.DataFrame) -> dict[str, float]:
         "p95_mm": accepted["error_mm"].quantile(0.95),
         "row_bias_mm": accepted["error_row_mm"].mean(),
         "col_bias_mm": accepted["error_col_mm"].mean(),
-        "gross": int((accepted["error_mm"] > GROSS_ERROR_MM).sum()),
+        "gross_errors": int((accepted["error_mm"] > GROSS_ERROR_MM).sum()),
         "lowest_score": part["score"].min(),
     }

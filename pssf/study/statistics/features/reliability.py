@@ -12,23 +12,23 @@ from ....core.checks import Array
 from .degenerate_features import is_degenerate
 from .icc_by_subject import Interval, compute_icc_form_intervals, sample_knee_weights
 
-# Forms of the ICC: absolute agreement and consistency, single measure.
+# Forms of the ICC for a single measurement: absolute agreement and consistency.
 ICC_FORMS = ("ICC(2,1)", "ICC(3,1)")
-# ICC from which a feature is stable: "excellent" in Koo and Li 2016, and the bound of the paper.
+# Smallest ICC of a stable feature: "excellent" in Koo and Li 2016; arXiv 2601.11642 uses the same threshold.
 ICC_THRESHOLD = 0.90
 # Classes of reliability and their lower bounds (Koo and Li 2016).
 _BANDS = ((0.90, "excellent"), (0.75, "good"), (0.50, "moderate"))
 _COLUMNS = ["feature", "conditions", "knees", "subjects"]
 _COLUMNS += [f"{form}{end}" for form in ICC_FORMS for end in ("", " low", " high")]
-_COLUMNS += ["class", "share_knee", "share_condition", "share_residual"]
+_COLUMNS += ["class", "variance_fraction_knee", "variance_fraction_condition", "variance_fraction_residual"]
 _UNDEFINED_INTERVALS: tuple[Interval, ...] = ((float("nan"),) * 2,) * 2
-# Kinds of repeats, with their labels.
+# Kind of repeat radiograph -> label in reports.
 REPEAT_LABELS = {"noise": "repeated noise", "perturbation": "small perturbations"}
 
 
 @dataclass(frozen=True)
 class MeanSquares:
-    """Mean squares of a two-way analysis of variance of standardised values (knees, conditions), one value per cell.
+    """Mean squares of a two-way analysis of variance with one standardised value per knee and condition.
 
     Attributes
     ----------
@@ -62,12 +62,13 @@ def compute_mean_squares(values: Array) -> MeanSquares | None:
     Returns
     -------
     MeanSquares or None
-        Mean squares; None if the knees do not differ under any condition.
+        Mean squares; None if all knees have the same value under every condition.
     """
     knees, conditions = values.shape
     if knees < 2 or conditions < 2 or all(is_degenerate(of_one) for of_one in values.T):
         return None
-    values = (values - values.mean()) / values.std()  # Squares of large values would lose digits otherwise.
+    # Standardising avoids the loss of digits in squares of large values.
+    values = (values - values.mean()) / values.std()
     rows, columns = values.mean(axis=1), values.mean(axis=0)
     rest = values - rows[:, None] - columns[None, :]
     return MeanSquares(
@@ -90,14 +91,14 @@ def icc(values: Array) -> tuple[float, float]:
     Returns
     -------
     tuple of float
-        ICC(2,1) and ICC(3,1); NaN if the knees do not differ, because there is nothing to agree on.
+        ICC(2,1) and ICC(3,1); NaN if all knees have the same value, because the ICC is then undefined.
     """
     s = compute_mean_squares(values)
     return (float("nan"), float("nan")) if s is None else _compute_icc_forms(s)
 
 
 def compute_variance_fractions(values: Array) -> tuple[float, float, float]:
-    """Compute the variance components of a single radiograph as fractions: knee, condition and residual.
+    """Compute the fractions of variance due to knee, condition and residual for a single measurement.
 
     The components are those of the two-way random model; negative estimates are set to 0 (Searle 1992). The residual
     includes noise and the interaction of knee and condition.
@@ -110,7 +111,7 @@ def compute_variance_fractions(values: Array) -> tuple[float, float, float]:
     Returns
     -------
     tuple of float
-        Fractions of knee, condition and residual, which sum to 1; NaN if the knees do not differ.
+        Fractions of knee, condition and residual, which sum to 1; NaN if all knees have the same value.
     """
     s = compute_mean_squares(values)
     if s is None:
@@ -124,7 +125,7 @@ def compute_variance_fractions(values: Array) -> tuple[float, float, float]:
 def pivot_features(
     table: pd.DataFrame, names: list[str], condition_column: str, conditions: list[str]
 ) -> tuple[Array, NDArray[Any]]:
-    """Arrange features by knee and condition; knees that lack a condition are left out.
+    """Arrange features by knee and condition; knees without a radiograph under each condition are omitted.
 
     Parameters
     ----------
@@ -133,16 +134,16 @@ def pivot_features(
     names : list of str
         Names of the features.
     condition_column : str
-        Column of the conditions.
+        Column that contains the condition of each radiograph.
     conditions : list of str
-        Conditions, in order.
+        Conditions, in the order of the second axis of `values`.
 
     Returns
     -------
     values : (knees, conditions, features) float64 array
         Values of the features.
     subjects : (knees,) array
-        Subject of each knee, as number or text.
+        Subject identifier of each knee, as number or text.
     """
     wide = table[table[condition_column].isin(conditions)].pivot(index="knee", columns=condition_column, values=names)
     cells = np.stack([wide[name].reindex(columns=conditions).to_numpy(np.float64) for name in names], axis=2)
@@ -157,16 +158,17 @@ def pivot_features(
 def compute_reliability(
     table: pd.DataFrame, names: list[str], reference: str, *, replicates: int = 2000, seed: int = 0
 ) -> pd.DataFrame:
-    """Compute the ICC of every feature across all protocols and across each pair of the reference and another protocol.
+    """Compute the ICC of every feature across all protocols and across pairs of the reference and another protocol.
 
-    The intervals are from a bootstrap of subjects, each with all knees, for these fixed protocols. They include the
-    sampling of subjects. Intervals by the F distribution (McGraw and Wong 1996) would, for ICC(2,1), refer to a
-    population of protocols, about which two or three protocols say next to nothing.
+    The intervals are computed from a bootstrap of subjects with all their knees; the protocols are fixed. Intervals
+    from the F distribution (McGraw and Wong 1996) are not used: for ICC(2,1) they refer to a population of protocols,
+    of which two or three protocols are too small a sample.
 
     Parameters
     ----------
     table : DataFrame
-        One row per radiograph: knee, subject, protocol and features. Knees that lack a protocol are left out.
+        One row per radiograph: knee, subject, protocol and features. Knees that were not imaged under every protocol
+        are omitted.
     names : list of str
         Names of the features.
     reference : str
@@ -179,9 +181,9 @@ def compute_reliability(
     Returns
     -------
     DataFrame
-        One row per feature and set of protocols:
-        feature, conditions, knees, subjects, each ICC with its interval,
-        class (Koo and Li 2016, by the lower bound of ICC(2,1)), share_knee, share_condition, share_residual.
+        One row per feature and set of protocols: feature, conditions, knees, subjects, each ICC with its interval,
+        class (Koo and Li 2016, by the lower bound of ICC(2,1)), variance_fraction_knee, variance_fraction_condition,
+        variance_fraction_residual.
     """
     protocols = list_protocols(table, reference)
     sets = [protocols] if len(protocols) == 2 else [protocols, *([a, b] for a, b in combinations(protocols, 2))]
@@ -203,14 +205,14 @@ def compute_repeatability(
     replicates: int = 2000,
     seed: int = 0,
 ) -> pd.DataFrame:
-    """Compute the ICC of every feature across repeats of the same knees under the reference protocol.
+    """Compute the ICC of every feature across repeat radiographs of the same knees under the reference protocol.
 
     Parameters
     ----------
     table : DataFrame
-        Radiographs as for `compute_reliability`; it has the first radiograph of every knee.
+        Radiographs as for `compute_reliability`, including the first radiograph of every knee.
     retest : DataFrame
-        Repeat radiographs: knee, kind ("noise" or "perturbation"), turn and features.
+        Repeat radiographs: knee, kind ("noise" or "perturbation"), repeat_index and features.
     names : list of str
         Names of the features.
     reference : str
@@ -223,34 +225,37 @@ def compute_repeatability(
     Returns
     -------
     DataFrame
-        Rows as of `compute_reliability`.
+        Table with the columns of `compute_reliability`, one row per feature and kind of repeat radiograph.
     """
     rows = []
     for kind, label in REPEAT_LABELS.items():
         part = retest[retest["kind"] == kind]
         first = table[(table["protocol"] == reference) & table["knee"].isin(part["knee"])]
-        both = pd.concat([first.assign(turn="first"), part.assign(turn=part["turn"].astype(str))])
-        turns = ["first", *sorted(set(part["turn"].astype(str)))]
+        both = pd.concat(
+            [first.assign(repeat_index="first"), part.assign(repeat_index=part["repeat_index"].astype(str))]
+        )
+        turns = ["first", *sorted(set(part["repeat_index"].astype(str)))]
         if len(turns) > 1 and len(first):
-            values, subjects = pivot_features(both, names, "turn", turns)
+            values, subjects = pivot_features(both, names, "repeat_index", turns)
             rows += _compute_icc_rows(values, names, label, subjects, replicates=replicates, seed=seed)
     return pd.DataFrame(rows, columns=_COLUMNS)
 
 
 def count_stable_features(table: pd.DataFrame) -> pd.DataFrame:
-    """Count the stable features of each set of conditions, by estimate and by lower bound.
+    """Count the stable features of each set of conditions, by the ICC and by its lower bound.
 
     Parameters
     ----------
     table : DataFrame
-        Table of `compute_reliability` or `compute_repeatability`.
+        Table from `compute_reliability` or `compute_repeatability`.
 
     Returns
     -------
     DataFrame
-        One row per set of conditions: conditions; knees; degenerate (features without an ICC); <form>, <form> low and
-        <form> of (number with an ICC of at least 0.90, with such a lower bound, and with an ICC); medians of
-        share_knee, share_condition and share_residual.
+        One row per set of conditions: conditions; knees; degenerate (number of features without an ICC). For each
+        form of the ICC: <form> (number with an ICC of at least 0.90), <form> low (number with a lower bound of at least
+        0.90) and <form> of (number with an ICC). Medians of
+        variance_fraction_knee, variance_fraction_condition and variance_fraction_residual.
     """
     rows = []
     for label, part in table.groupby("conditions", sort=False):
@@ -260,13 +265,13 @@ def count_stable_features(table: pd.DataFrame) -> pd.DataFrame:
             row[form] = int((part[form] >= ICC_THRESHOLD).sum())
             row[f"{form} low"] = int((part[f"{form} low"] >= ICC_THRESHOLD).sum())
             row[f"{form} of"] = int(part[form].notna().sum())
-        shares = ("share_knee", "share_condition", "share_residual")
-        rows.append(row | {name: float(part[name].median()) for name in shares})
+        components = ("variance_fraction_knee", "variance_fraction_condition", "variance_fraction_residual")
+        rows.append(row | {name: float(part[name].median()) for name in components})
     return pd.DataFrame(rows)
 
 
 def is_complete(values: Array) -> NDArray[np.bool_]:
-    """Check for each knee that a feature is known under every condition.
+    """Check for each knee whether a feature has a finite value under every condition.
 
     Parameters
     ----------
@@ -287,7 +292,7 @@ def list_protocols(table: pd.DataFrame, reference: str) -> list[str]:
     Parameters
     ----------
     table : DataFrame
-        Table with a column protocol.
+        Table with a column ``protocol``.
     reference : str
         Reference protocol.
 
@@ -302,7 +307,7 @@ def list_protocols(table: pd.DataFrame, reference: str) -> list[str]:
 def _compute_icc_rows(
     values: Array, names: list[str], label: str, subjects: NDArray[Any], *, replicates: int, seed: int
 ) -> list[dict[str, object]]:
-    """Compute the rows of all features for one set of conditions."""
+    """Compute the table rows of all features for one set of conditions."""
     weights, rows = sample_knee_weights(subjects, replicates=replicates, seed=seed), []
     for index, name in enumerate(names):
         whole = is_complete(values[:, :, index])
@@ -314,8 +319,12 @@ def _compute_icc_rows(
         for form, value, (low, high) in zip(ICC_FORMS, forms, bounds, strict=True):
             row |= {form: value, f"{form} low": low, f"{form} high": high}
         row["class"] = _classify_icc(bounds[0][0])
-        shares = zip(("share_knee", "share_condition", "share_residual"), compute_variance_fractions(one), strict=True)
-        rows.append(row | dict(shares))
+        fractions = zip(
+            ("variance_fraction_knee", "variance_fraction_condition", "variance_fraction_residual"),
+            compute_variance_fractions(one),
+            strict=True,
+        )
+        rows.append(row | dict(fractions))
     return rows
 
 

@@ -1,4 +1,4 @@
-"""Calibration of predicted probabilities, within protocol, for grade 0 vs 2."""
+"""Calibration of predicted probabilities for grade 0 vs 2 in the within-protocol scenario."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ from .quiet_fit import fit_without_solver_warnings
 
 # Number of bins of the calibration curve.
 _BINS = 10
-# Probabilities are clipped to this distance from 0 and 1; a forest may predict 0 or 1, whose logit is infinite.
+# Smallest distance of a probability from 0 and 1, dimensionless; clipping keeps the logit finite.
 _MIN_PROBABILITY = 1e-6
 
 
@@ -30,17 +30,18 @@ def compute_calibration(predictions: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row per model and selection. predictions: number of predictions. slope, intercept: logistic regression of
-        the grade on the logit of the probability (Cox 1958); 1 and 0 mean perfect calibration; NaN if a threshold
-        separates the grades, because the slope is then infinite. brier: mean squared error of the probability.
-        log_odds: log odds of grade 2 in the test predictions. Models are fitted with equal class weights, which shifts
-        the intercept by log_odds.
+        One row per model and selection. predictions: number of predictions. slope, intercept: coefficients of a
+        logistic regression of the grade against the logit of the probability (Cox 1958). Slope 1 and intercept 0 mean
+        perfect calibration. Both are NaN if a threshold separates the grades, because the slope is then infinite.
+        brier: mean squared error of the probability. log_odds: log odds of grade 2 among the test knees. Models are
+        fitted with equal class weights, which shifts the intercept by log_odds.
     """
     rows = []
     for labels, truth, probability in _select_arms(predictions):
         slope, intercept = _fit_calibration_line(truth, probability)
         positive = float(truth.mean())
         odds = float(np.log(positive / (1 - positive))) if 0 < positive < 1 else float("nan")
+        # sklearn's brier_score_loss is not used because it differs by rounding (1.1e-16).
         brier = float(((probability - truth) ** 2).mean())
         line = {"slope": slope, "intercept": intercept, "brier": brier, "log_odds": odds}
         rows.append({**labels, "predictions": len(truth), **line})
@@ -49,7 +50,7 @@ def compute_calibration(predictions: pd.DataFrame) -> pd.DataFrame:
 
 
 def compute_calibration_curve(predictions: pd.DataFrame) -> pd.DataFrame:
-    """Compute the calibration curve in ten bins of probability; empty bins are left out.
+    """Compute the calibration curve in ten bins of probability; empty bins are omitted.
 
     Parameters
     ----------
@@ -59,24 +60,25 @@ def compute_calibration_curve(predictions: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns: model, selection, low, high, predictions, mean_probability, observed_share.
+        Columns: model, selection, low, high, predictions, mean_probability, observed_fraction.
     """
     rows = []
     for labels, truth, probability in _select_arms(predictions):
+        # sklearn's calibration_curve is not used: it returns no counts and assigns a bin edge to the lower bin.
         place = np.minimum((probability * _BINS).astype(int), _BINS - 1)
         for index in sorted(set(place)):
             inside = place == index
-            means = {"mean_probability": probability[inside].mean(), "observed_share": truth[inside].mean()}
+            means = {"mean_probability": probability[inside].mean(), "observed_fraction": truth[inside].mean()}
             bounds = {"low": index / _BINS, "high": (index + 1) / _BINS, "predictions": int(inside.sum())}
             rows.append({**labels, **bounds, **means})
-    columns = ["model", "selection", "low", "high", "predictions", "mean_probability", "observed_share"]
+    columns = ["model", "selection", "low", "high", "predictions", "mean_probability", "observed_fraction"]
     return pd.DataFrame(rows, columns=columns)
 
 
 def count_confusions(predictions: pd.DataFrame) -> pd.DataFrame:
-    """Count true and predicted classes of every arm, summed over the splits.
+    """Count true and predicted classes of every arm (see `ARM_COLUMNS`), summed over the splits.
 
-    A knee is counted in every split that tests it. A class of several grades is labelled by its lowest grade.
+    A knee is counted in every split in which it is a test knee. A class is labelled by its lowest grade.
 
     Parameters
     ----------
@@ -86,7 +88,7 @@ def count_confusions(predictions: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        `ARM_COLUMNS`, true_grade, predicted_grade and count.
+        Columns `ARM_COLUMNS`, true_grade, predicted_grade and count.
     """
     rows = []
     for arm, part in predictions.groupby(ARM_COLUMNS, sort=False):
@@ -101,7 +103,8 @@ def count_confusions(predictions: pd.DataFrame) -> pd.DataFrame:
 def _select_arms(predictions: pd.DataFrame) -> list[tuple[dict[str, Any], NDArray[np.int64], Array]]:
     """Select the within-protocol arms for grade 0 vs 2, with true classes and probabilities of grade 2."""
     part = predictions[(predictions["task"] == "0 vs 2") & (predictions["scenario"] == "within")]
-    part = part[part["model"] != "chance"]  # Chance predicts the same probability for all rows of a split.
+    # The chance baseline is excluded because it predicts the same probability for all rows of a split.
+    part = part[part["model"] != "chance"]
     arms = []
     for (model, selection), rows in part.groupby(["model", "selection"], sort=False):
         truth, probability = extract_truth_and_probability(rows)
@@ -110,7 +113,7 @@ def _select_arms(predictions: pd.DataFrame) -> list[tuple[dict[str, Any], NDArra
 
 
 def _fit_calibration_line(truth: NDArray[np.int64], probability: Array) -> tuple[float, float]:
-    """Fit calibration slope and intercept; return NaN if they are infinite or undefined."""
+    """Fit calibration slope and intercept; both are NaN if infinite or undefined."""
     logit = np.log(
         np.clip(probability, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)
         / np.clip(1 - probability, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)

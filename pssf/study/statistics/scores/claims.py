@@ -1,10 +1,10 @@
-"""Claims of a published study, evaluated on this cohort: a claim holds, does not hold, or is not decidable.
+"""Evaluation of the claims of a published study on a cohort: holds, does not hold, or not decidable.
 
 The claims are those of Alzubaidi and Al-Bayaty, arXiv 2601.11642, sections 3.2 to 3.4. A claim holds if the whole 95 %
-interval of its measure is on the claimed side of the bound. It does not hold if the whole interval is on the other
-side. Otherwise it is not decidable. It is also not decidable if the interval has no width, or if the splits test too
-few subjects. A difference between arms is decided only if it stays significant after Holm's correction over the
-compared arms, because the claim is tested on many.
+interval of its measure is on the claimed side of a bound. It does not hold if the whole interval is on the other side.
+Otherwise it is not decidable. A claim is also not decidable if the interval has no width or the test sets are too
+small. A claim about differences between arms is decided only if the difference is significant after Holm's correction
+over the compared arms.
 """
 
 import numpy as np
@@ -27,11 +27,11 @@ from .tested_subjects import (
     has_enough_test_subjects,
 )
 
-# Value, lower end and upper end of its interval.
+# Value, and lower and upper limit of its 95 % interval.
 ValueWithInterval = tuple[float, float, float]
 COLUMNS = ["claim", "measure", "value", "low", "high", "bound", "verdict"]
-# Claimed trends: claim, feature and sign in a linear signal. Denser bone transmits less, so tissue that is brighter on
-# display has a lower signal.
+# Claimed trends: claim, feature and expected sign for linear pixels. Denser bone transmits less radiation, so it is
+# brighter on display but has a lower linear signal.
 _TRENDS = (
     ("First-order mean rises with grade (bone bright)", "firstorder_linear_Mean", -1),
     ("First-order energy rises with grade (bone bright)", "firstorder_linear_Energy", -1),
@@ -40,20 +40,20 @@ _TRENDS = (
     ("GLCM dissimilarity rises with grade", "glcm_DifferenceAverage", +1),
     ("GLCM homogeneity falls with grade", "glcm_Id", -1),
 )
-# AUC from which discrimination is called excellent (Hosmer, Lemeshow and Sturdivant 2013). The same bound is used for
-# both metrics that the paper reports.
+# Smallest AUC of excellent discrimination (Hosmer, Lemeshow and Sturdivant 2013), also used for balanced accuracy,
+# the other metric in the published study.
 _EXCELLENT = 0.80
 _CLAIMED_METRICS = ("auc", "balanced_accuracy")
 _CLAIMED_FAMILIES = ("glcm", "glszm")
-# Key of the random stream of the bootstrap, below the seed of the study; `icc_by_subject` uses another key.
+# Key of the random stream of the bootstrap, after the seed of the study; `icc_by_subject` uses another key.
 _STREAM = 2**31 + 1
-# Verdict on a claim that the data do not decide.
+# Verdict if the data are not sufficient to decide on a claim.
 UNDECIDED = "not decidable"
-# Significance level of p after Holm's correction.
+# Significance level of the p-value after Holm's correction, dimensionless.
 _SIGNIFICANCE_LEVEL = 0.05
 # Probability of each tail outside a 95 % interval.
 _TAIL = 0.025
-# Correlations are clipped to this value, so that Fisher's z is finite.
+# Largest absolute correlation, dimensionless; clipping keeps Fisher's z finite.
 _SURE = 1 - 1e-12
 
 
@@ -65,7 +65,7 @@ def evaluate_claims(
     tables: dict[str, pd.DataFrame],
     settings: StudySettings,
 ) -> pd.DataFrame:
-    """Evaluate every claim by each of its measures.
+    """Evaluate every claim with each of its measures.
 
     Parameters
     ----------
@@ -74,9 +74,9 @@ def evaluate_claims(
     predictions : DataFrame
         Predictions of all splits.
     importances : DataFrame
-        Importances of all splits: task, trained_on, model, selection, repeat, feature, share.
+        Importances of all splits: task, trained_on, model, selection, repeat, feature, importance.
     selection_candidates : DataFrame
-        Features offered to the selections: task, trained_on, selection, repeat, feature.
+        Features that remain after pruning: task, trained_on, selection, repeat, feature.
     tables : dict of str to DataFrame
         Tables scores, differences, reliability and subjects.
     settings : StudySettings
@@ -106,18 +106,18 @@ def decide_verdict(low: float, high: float, bound: float, direction: int = +1) -
     Parameters
     ----------
     low : float
-        Lower end of the interval.
+        Lower limit of the interval.
     high : float
-        Upper end of the interval.
+        Upper limit of the interval.
     bound : float
         Bound of the claim.
     direction : int, default 1
-        +1 if the claim is above the bound, -1 if below.
+        +1 if the claim is a value above the bound, -1 if below.
 
     Returns
     -------
     str
-        "holds", "does not hold" or "not decidable".
+        Verdict: "holds", "does not hold" or "not decidable".
     """
     if not np.isfinite([low, high]).all() or high <= low:
         return UNDECIDED
@@ -136,7 +136,7 @@ def _make_claim_row(
 
 
 def _evaluate_trends(usable: pd.DataFrame, settings: StudySettings) -> list[dict[str, object]]:
-    """Evaluate the claimed trends of features with grade by Spearman's rho."""
+    """Evaluate the claimed trends of features with grade using Spearman's rho."""
     part = usable[usable["protocol"] == settings.reference]
     if part["grade"].nunique() < 2:
         return []
@@ -151,9 +151,9 @@ def _evaluate_trends(usable: pd.DataFrame, settings: StudySettings) -> list[dict
 
 
 def _sample_bootstrap_counts(table: pd.DataFrame, settings: StudySettings) -> Array:
-    """Sample how often each row is in a bootstrap sample of the subjects.
+    """Sample how often each row of a table occurs in each bootstrap sample of the subjects.
 
-    Return counts (1 + replicates, rows); the first row is ones.
+    Return counts (1 + replicates, rows); all counts in the first row are 1.
     """
     worst = worst_grades(table["subject"], table["grade"])
     drawn = sample_bootstrap_counts(worst, replicates=settings.replicates, seed=settings.seed, stream=_STREAM)
@@ -161,15 +161,15 @@ def _sample_bootstrap_counts(table: pd.DataFrame, settings: StudySettings) -> Ar
 
 
 def _compute_interval(replicates: Array) -> ValueWithInterval:
-    """Return the first value of a statistic and the 2.5th and 97.5th percentile of the others."""
+    """Return a statistic (first value) and its 95 % percentile interval over the bootstrap samples (other values)."""
     return float(replicates[0]), *percentile_interval(replicates[1:])
 
 
 def compute_spearman(first: Array, second: Array, weights: Array) -> Array:
     """Compute Spearman's rho of two variables in weighted samples of their rows.
 
-    The result is Pearson's correlation of mid-ranks, as `scipy.stats.spearmanr` gives for rows repeated by their
-    weight.
+    The result is Pearson's correlation of mid-ranks. It equals the result of `scipy.stats.spearmanr` if each row is
+    repeated as often as its weight says.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def compute_spearman(first: Array, second: Array, weights: Array) -> Array:
     second : (rows,) float array, any unit
         Second variable.
     weights : (replicates, rows) float array, counts
-        Number of times that each row is in each sample.
+        Number of times that each row occurs in each sample.
 
     Returns
     -------
@@ -198,11 +198,11 @@ def compute_spearman(first: Array, second: Array, weights: Array) -> Array:
 
 
 def _evaluate_stability(reliability: pd.DataFrame) -> list[dict[str, object]]:
-    """Evaluate the claim that some features are stable, by the highest ICC of all features.
+    """Evaluate the claim that some features are stable, using the highest ICC over all features.
 
-    A feature is stable if its lower bound is above the threshold; none is stable if no upper bound is. One of a hundred
-    lower bounds is above by chance, so simultaneous bounds are used. The fraction of stable features is not used: its
-    interval ends at 0 and 1, and an interval without width could never refute the claim.
+    The claim holds if the lower bound of at least one ICC is above the threshold. It does not hold if no upper bound is
+    above the threshold. Among many features, some lower bounds are above the threshold by chance, so simultaneous lower
+    bounds are used. The fraction of stable features is not used, because its interval has no width at a fraction of 0.
     """
     rows = []
     form = ICC_FORMS[0]
@@ -213,9 +213,10 @@ def _evaluate_stability(reliability: pd.DataFrame) -> list[dict[str, object]]:
         subjects = int(part["subjects"].median())
         values, lows = part[[*columns[:2]]].to_numpy(np.float64).T
         low = float(pd.Series(_compute_simultaneous_bounds(values, lows, subjects)).max())
-        share = f"{stable[0]} of {len(part)} features are ≥ {ICC_THRESHOLD:.2f}, {stable[1]} by their lower bound"
-        measure = f"greatest {form}, {across}; {share} (paper: 43 of 107)"
-        numbers, decidable = (value, low, high), subjects >= MIN_TEST_SUBJECTS  # The grade does not matter.
+        counts = f"{stable[0]} of {len(part)} features are ≥ {ICC_THRESHOLD:.2f}, {stable[1]} by their lower bound"
+        measure = f"greatest {form}, {across}; {counts} (paper: 43 of 107)"
+        # The ICC does not use the grade, so the number of subjects per grade is not checked.
+        numbers, decidable = (value, low, high), subjects >= MIN_TEST_SUBJECTS
         rows.append(
             _make_claim_row("A subset of features is stable", measure, numbers, ICC_THRESHOLD, decidable=decidable)
         )
@@ -223,9 +224,9 @@ def _evaluate_stability(reliability: pd.DataFrame) -> list[dict[str, object]]:
 
 
 def _compute_simultaneous_bounds(values: Array, lows: Array, subjects: int) -> Array:
-    """Widen lower bounds (n,) that each hold alone so that they hold simultaneously.
+    """Lower the individual lower bounds (n,) of ICCs to simultaneous lower bounds.
 
-    Bonferroni's level is applied to Fisher's z, in which an ICC is about normal, with the t distribution as in
+    Bonferroni's correction is applied to Fisher's z, which is approximately normal, with the t distribution as in
     `icc_by_subject.compute_icc_interval`.
     """
     z, z_low = (np.arctanh(np.clip(ends, -_SURE, _SURE)) for ends in (values, lows))
@@ -240,9 +241,9 @@ def _evaluate_families(
     settings: StudySettings,
     ratio: float,
 ) -> list[dict[str, object]]:
-    """Evaluate the share of GLCM and GLSZM in the importance.
+    """Evaluate the claim about GLCM and GLSZM features by their fraction of the importance.
 
-    The bound is one half, or the share of a random choice among the offered features if that is larger.
+    The bound is 0.5 or the fraction of these families among the features offered to the selection, whichever is larger.
     """
     part, given = (
         table[(table["task"] == "0 vs 2") & (table["trained_on"] == settings.reference)]
@@ -251,12 +252,12 @@ def _evaluate_families(
     rows = []
     decidable = len(part) > 0 and has_enough_test_subjects(_select_within_protocol(scores)[TEST_COUNT_COLUMNS].max())
     for (model, selection), of_model in part.groupby(["model", "selection"], sort=False):
-        shares = (of_model["share"] * _is_claimed_family(of_model)).groupby(of_model["repeat"]).sum()
+        fractions = (of_model["importance"] * _is_claimed_family(of_model)).groupby(of_model["repeat"]).sum()
         of_selection = given[given["selection"] == selection]
         by_chance = float(_is_claimed_family(of_selection).groupby(of_selection["repeat"]).mean().mean())
-        of_splits = estimate_proportion(shares.to_numpy(), ratio)
+        of_splits = estimate_proportion(fractions.to_numpy(), ratio)
         measure = (
-            f"share of GLCM and GLSZM in the importance of {_format_arm(model, selection)}; {by_chance:.2f} by chance"
+            f"fraction of importance from GLCM and GLSZM, {_format_arm(model, selection)}; {by_chance:.2f} by chance"
         )
         claim = "GLCM and GLSZM features are the most important"
         numbers, bound = (of_splits.value, of_splits.low, of_splits.high), max(0.5, by_chance)
@@ -265,7 +266,7 @@ def _evaluate_families(
 
 
 def _is_claimed_family(table: pd.DataFrame) -> pd.Series:
-    """Check for each row that its feature is of GLCM or GLSZM."""
+    """Check for each row whether its feature belongs to the family GLCM or GLSZM."""
     return table["feature"].str.split("_").str[0].isin(_CLAIMED_FAMILIES)
 
 
@@ -301,11 +302,11 @@ def _evaluate_grade_order(predictions: pd.DataFrame, settings: StudySettings, ra
 
 
 def _compute_avoided_confusion(counts: NDArray[np.int64]) -> float:
-    """Compute how much rarer confusions of the first and last class are than by chance, as a fraction of the rows.
+    """Compute the fraction of confusions between first and last class expected by chance, minus the observed fraction.
 
-    Chance keeps the numbers of predicted classes and assigns them without regard to the true class. A comparison with
-    confusions by one grade is not used: there are twice as many ways to make them, so random predictions have more.
-    `counts` is the (3, 3) confusion matrix.
+    Chance means that the same predicted classes are assigned independently of the true classes. A comparison with
+    confusions by one grade is not used: random predictions also have more of them, because they can occur in twice as
+    many ways. `counts` is the (3, 3) confusion matrix.
     """
     true, called, rows = counts.sum(axis=1), counts.sum(axis=0), counts.sum()
     by_chance = (true[0] * called[2] + true[2] * called[0]) / rows**2
@@ -313,12 +314,12 @@ def _compute_avoided_confusion(counts: NDArray[np.int64]) -> float:
 
 
 def _select_within_protocol(scores: pd.DataFrame) -> pd.DataFrame:
-    """Select the scores for grade 0 vs 2 within protocol."""
+    """Select the scores for grade 0 vs 2 in the within-protocol scenario."""
     return scores[(scores["task"] == "0 vs 2") & (scores["scenario"] == "within")]
 
 
 def _evaluate_performance(scores: pd.DataFrame, settings: StudySettings) -> list[dict[str, object]]:
-    """Evaluate the claims of high performance within a protocol."""
+    """Evaluate the claims of high performance in the within-protocol scenario."""
     part = _select_within_protocol(scores)
     part = part[part["selection"].isin(settings.selections) & part["model"].isin(settings.models)]
     rows = []
@@ -359,5 +360,5 @@ def _evaluate_protocol_changes(differences: pd.DataFrame, settings: StudySetting
 
 
 def _format_arm(model: str, selection: str) -> str:
-    """Format classifier and selection as text."""
+    """Format classifier and feature selection as text."""
     return f"{MODELS[model]}, {SELECTIONS[selection]}"

@@ -1,12 +1,13 @@
-"""95 % intervals of scores and of their differences, from the variation over the splits.
+"""95 % intervals of scores and of score differences, from the variation between splits.
 
-Each split trains and tests anew, so the scores of the splits include the variation of the training and test sets. The
-splits overlap, and the mean of their scores varies more than that of independent splits. Nadeau and Bengio 2003
-(Machine Learning 52, 239) give the variance of the mean of R splits as s^2 (1/R + tested/trained subjects). The
-quantile is that of a t distribution with R - 1 degrees of freedom.
+Models are trained and tested anew on each split, so the scores include the variation of training and test sets. The
+splits overlap, so the mean score has a larger variance than the mean over independent splits. Nadeau and Bengio 2003
+(Machine Learning 52, 239) give the variance of the mean of R splits as s^2 (1/R + n_test / n_train). Here s^2 is the
+variance between splits, and n_test and n_train are the numbers of test and training subjects. The interval uses the
+quantile of a t distribution with R - 1 degrees of freedom.
 
-Scores end at 1, so their intervals are computed on the logit scale (Pepe 2003). If a small cohort happens to be well
-separated, its splits hardly vary, and an interval on the plain scale would lie above the true score.
+Scores are at most 1, so their intervals are computed on the logit scale (Pepe 2003). Scores near 1 hardly vary between
+the splits of a small cohort, and a symmetric interval could be entirely above the true score.
 """
 
 from collections.abc import Iterator
@@ -22,7 +23,7 @@ from ...predictions import ARM_COLUMNS, NO_SELECTION
 from .metrics import METRICS
 from .tested_subjects import TEST_COUNT_COLUMNS
 
-# Comparisons of scenarios: the first minus the second.
+# Comparison -> two scenarios; the score of the second is subtracted from the score of the first.
 COMPARISONS = {
     "cross minus within": ("cross", "within"),
     "multi minus within": ("multi", "within"),
@@ -46,9 +47,9 @@ class Estimate:
     value : float
         Mean over the splits.
     low : float
-        Lower end of the 95 % interval.
+        Lower limit of the 95 % interval.
     high : float
-        Upper end of the 95 % interval.
+        Upper limit of the 95 % interval.
     p : float
         Two-sided p-value of the hypothesis that the mean is 0.
     """
@@ -65,26 +66,26 @@ def compute_test_train_ratio(subjects: pd.DataFrame) -> float:
     Parameters
     ----------
     subjects : DataFrame
-        Part of each subject: repeat, subject, part.
+        Columns repeat, subject and part (training, validation or test).
 
     Returns
     -------
     float
-        Ratio, dimensionless.
+        Mean ratio of test to training subjects, dimensionless.
     """
     counts = subjects.groupby(["repeat", "part"]).size().unstack("part")
     return float((counts["test"] / counts["training"]).mean())
 
 
 def estimate_mean(splits: Array, ratio: float, lower_limit: float = -1.0, upper_limit: float = 1.0) -> Estimate:
-    """Estimate the mean of a measure over the splits, with its interval; see the module.
+    """Estimate the mean of a measure over the splits and its 95 % interval; see the module docstring.
 
     Parameters
     ----------
     splits : (splits,) float array, dimensionless
-        Value of each split; values that are not finite are left out.
+        Value on each split; non-finite values are ignored.
     ratio : float
-        Ratio of test to training subjects, of `compute_test_train_ratio`.
+        Ratio of test to training subjects, from `compute_test_train_ratio`.
     lower_limit : float, default -1
         Smallest possible value of the measure.
     upper_limit : float, default 1
@@ -93,8 +94,8 @@ def estimate_mean(splits: Array, ratio: float, lower_limit: float = -1.0, upper_
     Returns
     -------
     Estimate
-        Estimate. A single value has no interval and no p (NaN). If all values are equal, the interval has no width; p
-        is then 1 for the value 0 and undefined otherwise, because nothing shows how far the values could have differed.
+        Mean, interval and p. For a single value, interval and p are NaN. If all values are equal, the interval has no
+        width, and p is 1 for the value 0 and NaN otherwise, because the variance cannot be estimated.
     """
     known = splits[np.isfinite(splits)]
     nothing = float("nan")
@@ -115,14 +116,14 @@ def compute_standard_error(splits: Array, ratio: float) -> float:
     Parameters
     ----------
     splits : (splits,) float array, dimensionless
-        Two or more finite values.
+        Value on each split; at least two values, all finite.
     ratio : float
         Ratio of test to training subjects.
 
     Returns
     -------
     float
-        Standard error.
+        Standard error of the mean.
     """
     return float(splits.std(ddof=1) * np.sqrt(1 / len(splits) + ratio))
 
@@ -135,19 +136,19 @@ def estimate_proportion(splits: Array, ratio: float) -> Estimate:
     Parameters
     ----------
     splits : (splits,) float array, dimensionless
-        Value of each split; values that are not finite are left out.
+        Value on each split; non-finite values are ignored.
     ratio : float
         Ratio of test to training subjects.
 
     Returns
     -------
     Estimate
-        Estimate, as of `estimate_mean`.
+        Mean, interval and p; see `estimate_mean`.
     """
     of_splits = estimate_mean(splits, ratio, -np.inf, np.inf)
     if not of_splits.high > of_splits.low:
         return of_splits
-    # Values that vary between 0 and 1 have a mean strictly inside, so the logit and its derivative are finite.
+    # Values between 0 and 1 that are not all equal have a mean strictly between 0 and 1, so its logit is finite.
     middle, half = (
         logit(of_splits.value),
         (of_splits.high - of_splits.low) / 2 / (of_splits.value * (1 - of_splits.value)),
@@ -156,19 +157,19 @@ def estimate_proportion(splits: Array, ratio: float) -> Estimate:
 
 
 def compute_metric_intervals(splits: pd.DataFrame, ratio: float) -> dict[str, float]:
-    """Compute the interval of every metric.
+    """Compute the 95 % interval of every metric for one arm.
 
     Parameters
     ----------
     splits : DataFrame
-        One row per split, with the columns `METRICS`.
+        One row per split, with one column per metric in `METRICS`.
     ratio : float
         Ratio of test to training subjects.
 
     Returns
     -------
     dict of str to float
-        <metric>_low and <metric>_high of every metric.
+        Limits of the interval of every metric: <metric>_low and <metric>_high.
     """
     row = dict[str, float]()
     for metric in METRICS:
@@ -178,12 +179,12 @@ def compute_metric_intervals(splits: pd.DataFrame, ratio: float) -> dict[str, fl
 
 
 def compute_arm_intervals(splits: pd.DataFrame, ratio: float) -> pd.DataFrame:
-    """Compute the interval of every metric for every arm.
+    """Compute the 95 % interval of every metric for every arm.
 
     Parameters
     ----------
     splits : DataFrame
-        Scores of `split_scores.score_splits`.
+        Table from `split_scores.score_splits`.
     ratio : float
         Ratio of test to training subjects.
 
@@ -201,12 +202,12 @@ def compute_arm_intervals(splits: pd.DataFrame, ratio: float) -> pd.DataFrame:
 
 
 def compare_arms(splits: pd.DataFrame, ratio: float) -> pd.DataFrame:
-    """Compare pairs of arms; in every split both arms are trained and tested on the same subjects.
+    """Compare the metrics of pairs of arms that are trained and tested on the same subjects of each split.
 
     Parameters
     ----------
     splits : DataFrame
-        Scores of `split_scores.score_splits`.
+        Table from `split_scores.score_splits`.
     ratio : float
         Ratio of test to training subjects.
 
@@ -214,8 +215,8 @@ def compare_arms(splits: pd.DataFrame, ratio: float) -> pd.DataFrame:
     -------
     DataFrame
         One row per pair of arms and metric: comparison, task, scenario, tested_on, model, selection, metric,
-        difference, low, high, p, p_holm, `TEST_COUNT_COLUMNS`. p is two-sided. It has no lower limit that the
-        correction for more tests could raise above 0.05. p_holm is corrected within a comparison, task and metric (Holm
+        difference, low, high, p, p_holm, `TEST_COUNT_COLUMNS`. p is two-sided and, unlike a
+        permutation p-value, can be arbitrarily small. p_holm is p corrected within a comparison, task and metric (Holm
         1979).
     """
     arms = {tuple(arm): part.set_index("repeat") for arm, part in splits.groupby(ARM_COLUMNS, sort=False)}
@@ -242,14 +243,14 @@ def apply_holm_within(table: pd.DataFrame, family: list[str]) -> pd.Series:
     Parameters
     ----------
     table : DataFrame
-        One row per test.
+        One row per test, with the uncorrected p-value in the column ``p``.
     family : list of str
-        Columns that identify a family.
+        Columns whose values identify a family of tests.
 
     Returns
     -------
     Series
-        Corrected p of each row; NaN if there is no p.
+        Corrected p-value of each row; NaN if ``p`` is NaN.
     """
     corrected = pd.Series(np.nan, index=table.index, dtype=np.float64)
     for _, part in table.dropna(subset="p").groupby(family, sort=False):
@@ -268,9 +269,9 @@ def apply_holm(p: Array) -> Array:
     Returns
     -------
     (tests,) float array
-        Corrected p-values, in the same order.
+        Corrected p-values, in the order of `p`.
     """
-    # The function of statsmodels is not used, because each call runs the garbage collector, which takes 0.3 s.
+    # The function in statsmodels is not used because each call runs the garbage collector, which takes 0.3 s.
     order = np.argsort(p, kind="stable")
     corrected = np.empty(len(p))
     corrected[order] = np.minimum(1.0, np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1)))
@@ -278,7 +279,7 @@ def apply_holm(p: Array) -> Array:
 
 
 def _find_arm_pairs(arms: list[tuple[str, ...]]) -> Iterator[tuple[str, int, int]]:
-    """Yield each comparison with the indices of its two arms.
+    """Yield the name of each comparison and the indices of its two arms.
 
     The arms of a pair have the same task, model and selection, or are a model and the JSW baseline.
     """
@@ -289,7 +290,7 @@ def _find_arm_pairs(arms: list[tuple[str, ...]]) -> Iterator[tuple[str, int, int
             if scenario != first or selection == NO_SELECTION:
                 continue
             if first == "multi" and second == "within" and tested_on != reference:
-                continue  # The test radiographs of other protocols are not those of the reference.
+                continue  # The within scenario is tested on the reference protocol only.
             partner = known.get((task, second, reference if second == "within" else tested_on, model, selection))
             if partner is not None:
                 yield comparison, index, partner

@@ -16,33 +16,33 @@ from .subject_resampling import sample_bootstrap_counts, worst_grades
 
 # Two-class tasks: grades of patient radiographs without and with osteoarthritis.
 CONTRASTS = {name: classes for name, classes in TASKS.items() if len(classes) == 2}
-# Column of Cohen's kappa.
+# Name of Cohen's kappa in tables.
 KAPPA = "kappa"
 COLUMNS = [
-    *("films_of", "learnt", "model", "selection", "films", "subjects", "without", "with"),
+    *("contrast", "task", "model", "selection", "radiographs", "subjects", "negatives", "positives"),
     *(f"{metric}{end}" for metric in METRICS for end in ("", "_low", "_high")),
 ]
 GRADED_COLUMNS = [
-    *("learnt", "model", "selection", "films", "subjects"),
+    *("task", "model", "selection", "radiographs", "subjects"),
     *(f"{metric}{end}" for metric in (KAPPA, *METRICS) for end in ("", "_low", "_high")),
 ]
-# Key of the random stream of the bootstrap, below the seed of the study.
+# Key of the random stream of the bootstrap, after the seed of the study.
 _STREAM = 2**31 + 1
-# Smallest number of subjects per class for an interval; a bootstrap of one subject always gives the same sample.
+# Smallest number of subjects per class for an interval; all bootstrap samples of a single subject are the same.
 _LEAST_SUBJECTS = 2
 
 
 def score_films(predictions: pd.DataFrame, *, replicates: int, seed: int) -> pd.DataFrame:
     """Score two-class models on patient radiographs.
 
-    The 95 % intervals are from a bootstrap of subjects within their grade, each with all radiographs. The models stay
-    fixed. An interval is NaN if a class has fewer than two subjects.
+    The 95 % intervals are computed from a bootstrap of subjects, with all their radiographs, within each grade. The
+    models are not refitted. An interval is NaN if a class has fewer than two subjects.
 
     Parameters
     ----------
     predictions : DataFrame
-        Predictions of models of grade 0 against others, one row per radiograph with a located joint and a known grade:
-        task, model, selection, subject (text), grade, p (probability of the others).
+        Predictions of two-class models, one row per radiograph with a located joint and a known grade: task, model,
+        selection, subject (text), grade, p (probability of the class with osteoarthritis).
     replicates : int
         Number of bootstrap samples.
     seed : int
@@ -51,7 +51,8 @@ def score_films(predictions: pd.DataFrame, *, replicates: int, seed: int) -> pd.
     Returns
     -------
     DataFrame
-        One row per contrast with both classes, task, model and selection, with the columns `COLUMNS`.
+        One row per contrast, task, model and selection, with the columns `COLUMNS`. A contrast is omitted
+        if all radiographs belong to the same class.
     """
     rows = []
     for contrast, (without, with_) in CONTRASTS.items():
@@ -59,19 +60,19 @@ def score_films(predictions: pd.DataFrame, *, replicates: int, seed: int) -> pd.
         for (task, model, selection), of in part.groupby(["task", "model", "selection"], sort=False):
             truth = of["grade"].isin(with_).to_numpy(np.int64)
             if len(set(truth)) == 2:
-                label = {"films_of": contrast, "learnt": task, "model": model, "selection": selection}
+                label = {"contrast": contrast, "task": task, "model": model, "selection": selection}
                 rows.append(label | _count_sides(of, truth) | _score_contrast(of, truth, replicates, seed))
     return pd.DataFrame(rows, columns=COLUMNS)
 
 
 def _count_sides(predictions: pd.DataFrame, truth: np.ndarray) -> dict[str, int]:
-    """Count radiographs, subjects, and radiographs without and with osteoarthritis."""
-    counts = {"films": len(predictions), "subjects": predictions["subject"].nunique()}
-    return counts | {"without": int((truth == 0).sum()), "with": int(truth.sum())}
+    """Count radiographs and subjects, and the radiographs without and with osteoarthritis."""
+    counts = {"radiographs": len(predictions), "subjects": predictions["subject"].nunique()}
+    return counts | {"negatives": int((truth == 0).sum()), "positives": int(truth.sum())}
 
 
 def _score_contrast(predictions: pd.DataFrame, truth: np.ndarray, replicates: int, seed: int) -> dict[str, float]:
-    """Score one model on one contrast, with intervals."""
+    """Compute all metrics and intervals of one model for one contrast."""
     p = predictions["p"].to_numpy(np.float64)
     values = weighted_scores(
         truth, np.stack([1 - p, p], axis=1), _sample_bootstrap_counts(predictions, replicates, seed)
@@ -81,10 +82,11 @@ def _score_contrast(predictions: pd.DataFrame, truth: np.ndarray, replicates: in
 
 
 def score_grades(predictions: pd.DataFrame, *, replicates: int, seed: int) -> pd.DataFrame:
-    """Score multiclass models on patient radiographs; quadratic kappa comes first.
+    """Score multiclass models on patient radiographs by quadratic kappa and the other metrics.
 
-    Only radiographs with a grade of the task are scored. The 95 % intervals are those of `score_films`. The interval of
-    kappa needs at least two grades. The other metrics are means over all classes, and their intervals need all grades.
+    Only radiographs with a grade of the task are scored. The 95 % intervals are computed as in `score_films`. The
+    interval of kappa needs at least two grades. The other metrics are means over all classes, so their intervals need
+    all grades.
     An interval is NaN if a grade has fewer than two subjects.
 
     Parameters
@@ -99,21 +101,21 @@ def score_grades(predictions: pd.DataFrame, *, replicates: int, seed: int) -> pd
     Returns
     -------
     DataFrame
-        One row per task of `MULTICLASS_TASKS`, model and selection, with the columns `GRADED_COLUMNS`.
+        One row per task in `MULTICLASS_TASKS`, model and selection, with the columns `GRADED_COLUMNS`.
     """
     rows = []
     for (task, model, selection), every in predictions.groupby(["task", "model", "selection"], sort=False):
         classes = MULTICLASS_TASKS[task]
         of = every[every["grade"].isin(sum(classes, ()))]
         if of["grade"].nunique() > 1:
-            label = {"learnt": task, "model": model, "selection": selection}
-            counts = {"films": len(of), "subjects": of["subject"].nunique()}
+            label = {"task": task, "model": model, "selection": selection}
+            counts = {"radiographs": len(of), "subjects": of["subject"].nunique()}
             rows.append(label | counts | _score_multiclass(of, classes, replicates, seed))
     return pd.DataFrame(rows, columns=GRADED_COLUMNS)
 
 
 def _score_multiclass(predictions: pd.DataFrame, classes: Classes, replicates: int, seed: int) -> dict[str, float]:
-    """Score one multiclass model, with intervals."""
+    """Compute all metrics and intervals of one multiclass model."""
     truth = find_class_indices(predictions["grade"].to_numpy(np.int64), classes)
     probability = predictions[[f"p{place}" for place in range(len(classes))]].to_numpy(np.float64)
     weights = _sample_bootstrap_counts(predictions, replicates, seed)
@@ -125,16 +127,16 @@ def _score_multiclass(predictions: pd.DataFrame, classes: Classes, replicates: i
 
 
 def _sample_bootstrap_counts(predictions: pd.DataFrame, replicates: int, seed: int) -> Array:
-    """Sample how often each radiograph is in a bootstrap sample of the subjects: (radiographs, 1 + replicates)."""
+    """Sample how often each radiograph occurs in each bootstrap sample, as a (radiographs, 1 + replicates) array."""
     worst = worst_grades(predictions["subject"], predictions["grade"])
     weights = sample_bootstrap_counts(worst, replicates=replicates, seed=seed, stream=_STREAM)
     return np.asarray(weights[worst.index.get_indexer(predictions["subject"])])
 
 
 def _make_interval_row(values: dict[str, Array], enough: dict[str, bool]) -> dict[str, float]:
-    """Make the columns of each metric.
+    """Make the columns of all metrics from their values on all radiographs and on the bootstrap samples.
 
-    The value is that of all radiographs; the percentiles are NaN if there are too few subjects.
+    The interval of a metric is NaN if `enough` is False for it.
     """
     row = dict[str, float]()
     for metric, of_samples in values.items():
@@ -154,8 +156,9 @@ def count_films_by_grade(films: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns: grade ("unknown" without a grade), films, found, and one column per other status. If radiographs show
-        two knees, of which one is read, a last column counts them. The last row is of all radiographs.
+        Columns: grade ("unknown" without a grade), films, found, and one column per other status. If there
+        are radiographs of two knees, the last column counts them; only one knee per radiograph is used. The last row is
+        the total.
     """
     grades = films["grade"].map(lambda grade: "unknown" if pd.isna(grade) else str(int(grade)))
     reasons = sorted(set(films["status"]) - {"found"})

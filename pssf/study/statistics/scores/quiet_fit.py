@@ -1,4 +1,4 @@
-"""Fits of scikit-learn models without warnings about the choice of solver."""
+"""Fitting of scikit-learn models without warnings about a change of solver."""
 
 import warnings
 from typing import Any
@@ -11,7 +11,7 @@ from ....core.checks import Array
 
 
 def fit_without_solver_warnings(model: Any, X: Array, y: NDArray[np.int64], weight: Array | None = None) -> Any:
-    """Fit a model of scikit-learn and suppress the warning about a fallback of the Newton solver.
+    """Fit a scikit-learn model and suppress the warning that L-BFGS replaces the Newton solver.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ def fit_without_solver_warnings(model: Any, X: Array, y: NDArray[np.int64], weig
     y : (rows,) int64 array
         Class index of each row.
     weight : (rows,) float array, dimensionless, optional
-        Weight of each row; None weighs all rows equally.
+        Weight of each row; None: all rows have equal weight.
 
     Returns
     -------
@@ -30,6 +30,6 @@ def fit_without_solver_warnings(model: Any, X: Array, y: NDArray[np.int64], weig
         The fitted model.
     """
     with warnings.catch_warnings():
-        # If the line search of the Newton solver ends early, scikit-learn continues with L-BFGS and warns of it.
+        # If the line search of the Newton solver ends early, scikit-learn continues with L-BFGS and gives a warning.
         warnings.filterwarnings("ignore", "Line search of Newton solver", ConvergenceWarning)
         return model.fit(X, y, sample_weight=weight)

@@ -1,4 +1,4 @@
-"""Scores of predictions by split, and their summary by arm."""
+"""Scores of predictions per split, and their means per arm."""
 
 import pandas as pd
 
@@ -38,7 +38,7 @@ def summarise_scores(scores: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     scores : DataFrame
-        Scores of `score_splits`.
+        Table from `score_splits`.
 
     Returns
     -------

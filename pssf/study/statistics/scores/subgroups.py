@@ -1,4 +1,4 @@
-"""Scores of women and men, and of younger and older subjects: grade 0 vs 2, within protocol."""
+"""Scores for women, men, younger and older subjects: grade 0 vs 2, within-protocol scenario."""
 
 from collections.abc import Iterable
 from typing import Any
@@ -19,17 +19,17 @@ def score_subgroups(
 ) -> pd.DataFrame:
     """Score the predictions of each model within each subgroup.
 
-    The scores are means over the splits. A split whose test part lacks a grade in a group is left out for that group. A
-    group has no interval if the median split tests too few of its subjects.
+    The scores are means over the splits. For each subgroup, splits whose test subjects in the subgroup lack a grade are
+    omitted. A subgroup has no interval if its median number of test subjects is too small.
 
     Parameters
     ----------
     predictions : DataFrame
         Predictions of all splits.
     parameters : DataFrame
-        Knee parameters, of `extract_knee_parameters`; without sex and age there are no groups.
+        Knee parameters, from `extract_knee_parameters`; without sex and age there are no subgroups.
     settings : StudySettings
-        Settings of the study; baselines are left out.
+        Settings of the study; only their feature selections are scored, not the baselines.
     ratio : float
         Ratio of test to training subjects.
 
@@ -51,7 +51,7 @@ def score_subgroups(
 
 
 def _find_groups(parameters: pd.DataFrame) -> dict[str, set[Any]]:
-    """Find the subjects of each group: women, men, and those up to and over the median age."""
+    """Find the subjects of each subgroup: women, men, and subjects up to and over the median age."""
     people, chosen = parameters.drop_duplicates("subject"), dict[str, pd.Series]()
     if "female" in people:
         chosen |= {"women": people["female"] > 0, "men": people["female"] == 0}
@@ -63,13 +63,13 @@ def _find_groups(parameters: pd.DataFrame) -> dict[str, set[Any]]:
 
 
 def _score_group(inside: pd.DataFrame, repeats: Iterable[Any], ratio: float) -> dict[str, float]:
-    """Score one group on every split and average."""
+    """Average the scores of one subgroup over the splits and compute intervals."""
     of_splits = [
         score_predictions(*extract_truth_and_probability(split)) for _, split in inside.groupby("repeat", sort=False)
     ]
     table = pd.DataFrame(of_splits, columns=list(METRICS))
     means = {metric: float(table[metric].mean()) for metric in METRICS}
-    # With fewer test subjects an interval may have no width and would not cover the true value.
+    # With too few test subjects, an interval may have no width and would not contain the true value.
     tested = (inside[inside["repeat"] == repeat] for repeat in repeats)
     counts = [count_test_subjects(split["subject"], split["truth"], range(2)) for split in tested]
     return means | (

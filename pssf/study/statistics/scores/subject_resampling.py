@@ -10,41 +10,41 @@ from ....core.checks import Array
 
 
 def worst_grades(subjects: Sequence[Any], grades: Sequence[int]) -> pd.Series:
-    """Find the highest grade of each subject, under which the subject counts.
+    """Find the highest grade of each subject, which is used as the grade of the subject.
 
     Parameters
     ----------
     subjects : sequence
-        Subject of each radiograph or knee, as number or text.
+        Subject identifier of each radiograph or knee, as number or text.
     grades : sequence of int
         Grade of each radiograph or knee.
 
     Returns
     -------
     Series
-        Highest grade by subject, sorted by subject.
+        Highest grade, indexed by subject and sorted by subject.
     """
     return pd.Series(np.asarray(grades)).groupby(np.asarray(subjects)).max()
 
 
 def sample_bootstrap_counts(worst: pd.Series, *, replicates: int, seed: int, stream: int) -> Array:
-    """Sample how often each subject is in a bootstrap sample stratified by grade.
+    """Sample how often each subject occurs in each bootstrap sample, stratified by grade.
 
     Parameters
     ----------
     worst : Series
-        Grade of each subject, of `worst_grades`.
+        Grade of each subject, from `worst_grades`.
     replicates : int
         Number of bootstrap samples.
     seed : int
         Seed of the study.
     stream : int
-        Key of the random stream below the seed.
+        Key of the random stream, after the seed.
 
     Returns
     -------
     (subjects, 1 + replicates) float array
-        Counts; the first column is ones.
+        Number of times that each subject occurs in each sample; the first column is 1 for all subjects.
     """
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(stream,)))
     weights = np.ones((len(worst), 1 + replicates))

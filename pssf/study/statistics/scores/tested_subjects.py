@@ -1,4 +1,4 @@
-"""Numbers of test subjects, and whether they suffice for a decision."""
+"""Number of test subjects per split, and the smallest number that allows a decision on a claim."""
 
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
@@ -6,33 +6,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-# Smallest number of test subjects per split. With fewer, intervals cover too rarely and some have no width; see
-# tests/test_coverage.py.
+# Smallest number of test subjects per split. With fewer subjects, the coverage of the intervals is too low and some
+# intervals have no width; see tests/test_interval_coverage.py.
 MIN_TEST_SUBJECTS = 6
-# Smallest number of test subjects per class. The few subjects of a rare class decide the scores.
+# Smallest number of test subjects per class; scores depend mainly on the subjects of the rarest class.
 MIN_TEST_SUBJECTS_PER_CLASS = MIN_TEST_SUBJECTS // 2
-# Columns with the number of test subjects and the number of the rarest class.
+# Columns of the number of test subjects and of the number of test subjects in the rarest class.
 TEST_COUNT_COLUMNS = ["test_subjects", "test_rarest"]
 
 
 def count_test_subjects(
     subjects: Sequence[Any], classes: Sequence[Any] | NDArray[Any], all_classes: Collection[Any]
 ) -> dict[str, int]:
-    """Count the test subjects, and those of the class with the fewest.
+    """Count all test subjects and the test subjects of the rarest class.
 
     Parameters
     ----------
     subjects : sequence
-        Subject of each radiograph.
+        Subject identifier of each test radiograph.
     classes : sequence or (rows,) array
-        Class of each radiograph; a subject whose knees are of two classes counts in both.
+        Class of each test radiograph; a subject with knees of two classes is counted in both classes.
     all_classes : collection
-        All classes, including those without a row.
+        All classes, including classes without a radiograph.
 
     Returns
     -------
     dict of str to int
-        Counts by `TEST_COUNT_COLUMNS`.
+        Counts, keyed by `TEST_COUNT_COLUMNS`.
     """
     names, of = np.asarray(subjects), np.asarray(classes)
     counts = [len(set(names[of == one].tolist())) for one in all_classes]
@@ -40,12 +40,12 @@ def count_test_subjects(
 
 
 def has_enough_test_subjects(counts: Mapping[str, Any]) -> bool:
-    """Check that a split tests enough subjects for a decision.
+    """Check whether a split has enough test subjects for a decision on a claim.
 
     Parameters
     ----------
     counts : mapping of str to Any
-        Counts by `TEST_COUNT_COLUMNS`; of several splits, their median.
+        Counts, keyed by `TEST_COUNT_COLUMNS`; for several splits, their medians.
 
     Returns
     -------
