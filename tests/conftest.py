@@ -1,6 +1,5 @@
 """Shared fixtures: a knee built once, a small detector."""
 
-import ctypes
 import dataclasses
 import json
 import os
@@ -117,14 +116,6 @@ def built_once() -> Iterator[None]:
             patch.setattr(module, "build", build_once)
         yield
         forget_built_knees()
-
-
-@pytest.fixture(scope="module", autouse=True)
-def freed_memory() -> Iterator[None]:
-    """Return freed memory to the system after each file, because threads of a process leave gaps in its heap."""
-    yield
-    if hasattr(trim := ctypes.CDLL(None), "malloc_trim"):  # glibc only
-        trim.malloc_trim(0)
 
 
 @pytest.fixture(scope="session")

@@ -28,7 +28,7 @@ def test_importances_sum_to_one_and_the_informative_feature_leads(model):
         build_feature_pipeline("l1", rho=0.9, max_features=5, seed=0).fit(X, y), model, (X, y), (X, y), seed=0
     )
     assert sum(fitted.importance.values()) == pytest.approx(1)
-    # Of two equivalent features the first by name is kept.
+    # The first by name of two equivalent features is kept.
     assert max(fitted.importance, key=fitted.importance.get) == "copy"
 
 

@@ -90,7 +90,7 @@ UNITS_IN_NAMES = ("mm", "mm2", "mm3", "px", "kev", "kev2", "kv", "mgy", "deg", "
 # Elements of arrays that need no unit: numbers of things, and whether.
 WHOLE = ("int", "bool", "Any", "Faces", "Indices", "Ints", "Masks", "Signs")
 SAYS_NOTHING = ("found", "told")
-# What nobody of the field would processing for, and what stands in its place.
+# Words that the field does not use, and the terms to write instead.
 PRIVATE_WORDS = {
     "amid": "neighbour_mean_matrix", "evened": "laplacian_smooth", "unfolded": "fix_inverted_faces",
     "settle": "project_to_surface", "onto": "project_to_surface", "halved": "split_edges", "widened": "dilate_rings",

@@ -20,7 +20,7 @@ def test_subtracting_bones_keeps_an_enclosed_piece_with_its_solid():
 
 
 def test_cartilage_in_a_tight_crease_does_not_overlap_itself():
-    """Of 2,000 knees (`pssf validate --tables builds`) this one had a negative cartilage path of 0.037 mm."""
+    """Build the one knee of 2,000 (`pssf validate --tables builds`) that had a negative cartilage path of 0.037 mm."""
     rng = np.random.default_rng(np.random.SeedSequence(1533, spawn_key=(1,)))
     built = pssf.build(
         pssf.sample_knee(grade=3, rng=rng, grade_table="population"), pssf.load_protocol("fixed_flexion")

@@ -35,7 +35,7 @@ def test_an_axis_keeps_dose_geometry_and_field_of_view():
     assert far.mas / far.sdd_mm**2 == pytest.approx(known.mas / known.sdd_mm**2, rel=1e-4)
     coarse = PROTOCOL_AXES["pixel_size"].vary(known, 2.0)
     assert coarse.rows * coarse.pixel_mm == pytest.approx(known.rows * known.pixel_mm)
-    # By the 15 % rule, 15 % more kV halves the mAs.
+    # The 15 % rule: 15 % more kV halves the mAs.
     harder = PROTOCOL_AXES["kv"].coupled_fields(known, 1.15 * known.tube_kv)
     assert harder["mas"] == pytest.approx(known.mas / 2, rel=1e-4)
 

@@ -51,7 +51,7 @@ def test_grades_3_and_4_form_one_class():
     doubtful = base.assign(knee=base["knee"] + 1000, subject=base["subject"] + 1000, grade=1)
     splits = evaluate_response_curves(pd.concat([base, doubtful]), steps, NAMES, SETTINGS, Execution())
     own = splits[splits["step_index"] == 7]
-    # Of 16 test subjects 8 are in each class; grade 0 against grade 3 alone would have 12.
+    # Each class has 8 of the 16 test subjects; grade 0 against grade 3 alone would have 12.
     assert set(own["test_subjects"]) == {16}
     assert set(own["test_rarest"]) == {8}
     assert set(own["training_subjects"] + own["test_subjects"]) <= set(range(64, 80))

@@ -7,10 +7,6 @@ import tomllib
 from functools import cache
 from pathlib import Path
 
-# Earlier versions of the package kept the layouts of the measured tables in this file. The digest excludes this file,
-# because layouts have no effect on a measurement.
-_LAYOUTS = "readme.toml"
-
 
 @cache
 def load_package(checkout: Path) -> dict[str, tuple[str, frozenset[str]]]:
@@ -123,7 +119,7 @@ def compute_data_digest(checkout: Path) -> str:
     digest = hashlib.sha256()
     for folder in ("pssf/data", "protocols"):
         for path in sorted((checkout / folder).rglob("*")):
-            if path.suffix in (".toml", ".npz") and path.name != _LAYOUTS:
+            if path.suffix in (".toml", ".npz"):
                 digest.update(f"{path.relative_to(checkout).as_posix()}\n".encode() + _read_values(path))
     return digest.hexdigest()
 

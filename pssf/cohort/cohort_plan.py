@@ -35,7 +35,7 @@ _SHAPE = 0
 # Stream of the noise seeds.
 _NOISE = 3
 # Stream of the acquisition variability.
-_TAKING = 5
+_ACQUISITION = 5
 # Stream of the knee fields that both knees of a subject share.
 _BODY = 2**31
 # Stream of the random numbering of subjects.
@@ -423,9 +423,9 @@ def _sample_case(
         state = np.random.SeedSequence(seed, spawn_key=(number, _NOISE, turn)).generate_state(1, np.uint64)
         name = f"{radiograph_stem(subject, number)}_{protocol.name}"
         if preset.acquisition == "sampled":
-            taking = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, _TAKING, turn)))
+            chance = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(number, _ACQUISITION, turn)))
             set_to = {field: getattr(protocol, field) for field in of_protocol}
-            protocol = replace(sample_acquisition(protocol, rng=taking, side=knee.side), **set_to)
+            protocol = replace(sample_acquisition(protocol, rng=chance, side=knee.side), **set_to)
         exposures.append(Exposure(name, protocol, int(state[0] >> np.uint64(1))))
     return Case(subject=subject, index=number, knee=knee, exposures=tuple(exposures), grade_table=preset.grade_table)
 

@@ -162,7 +162,7 @@ def compute_simulated_landmarks(
                 on_result=lambda nth, of: arrived(nth, _make_landmark_row(of)),
             )
 
-        rows = checkpoint.complete([encode_records(*taking, defined_under) for taking in acquisitions], make)
+        rows = checkpoint.complete([encode_records(*acquisition, defined_under) for acquisition in acquisitions], make)
         places = [np.array([row[name] for name in _COLUMNS]).reshape(-1, 2) for row in rows]
     return LandmarkSample(landmarks_mm=np.array(places), grades=np.array([knee.grade for knee, _ in acquisitions]))
 
