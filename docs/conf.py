@@ -1,6 +1,6 @@
-"""Configuration of the documentation site.
+"""Configure the documentation site.
 
-Build it with one command, in the source folder::
+Build the site with one command, in the source folder::
 
     uv run --group docs sphinx-build -W --keep-going -j 1 docs docs/_build/html
 """

@@ -60,7 +60,7 @@ def run(out: Path, pixels: int = 2048) -> list[Path]:
     protocol = reference.resample(pixels)
     before = pssf.simulate(built, protocol, rng=1)
     with warnings.catch_warnings():
-        # The surgery removes labels such as the joint space, and a warning states this.
+        # The surgery removes labels such as the joint space, so `simulate` warns that these labels are absent.
         warnings.simplefilter("ignore", pssf.SurgeryNotice)
         after = pssf.simulate(replaced, protocol, rng=1, keep=("path_mm",))
     print(f"medial joint space before: {before.truth.jsw_medial_mm:.2f} mm; after: {after.truth.jsw_medial_mm}")

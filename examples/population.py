@@ -27,7 +27,7 @@ def run(out: Path, pixels: int = 1024, knees_per_grade: int = 3) -> list[Path]:
 
 
 def make_radiograph_panel(knee: pssf.Knee, protocol: pssf.Protocol) -> np.ndarray:
-    """Simulate a knee, and cut the window around its joint from the radiograph."""
+    """Simulate a knee, and crop the radiograph to a window around the joint."""
     radiograph = pssf.simulate(knee, protocol, rng=1)
     px_per_mm = protocol.sdd_mm / protocol.sod_mm / protocol.pixel_mm
     row, col = radiograph.truth.landmarks_px["joint_centre"]

@@ -1,4 +1,4 @@
-"""Render the solids of a knee from the front and from the side: in a half-transparent limb, and cut open."""
+"""Render the solids of a knee from the front and from the side: in a semi-transparent limb, and cut open."""
 
 from pathlib import Path
 
@@ -67,12 +67,12 @@ class Window:
 
 
 def render_in_limb(scene: pssf.Scene, window: Window) -> np.ndarray:
-    """Render bones, cartilage and tendons inside a half-transparent limb."""
+    """Render bones, cartilage and tendons inside a semi-transparent limb."""
     picture = render_bones(scene, window, window.near_mm)
     for name, strength in (("muscle", 0.13), ("adipose", 0.06), ("skin", 0.08)):
         shell = [surface for surface in scene.surfaces if surface.name == name]
         hit, normal, _, _ = cast_rays(shell, window, window.near_mm)
-        # A shell is more opaque near its rim, where rays cross it obliquely.
+        # A shell is more opaque near its rim, where rays cross the shell obliquely.
         opacity = 1 - (1 - strength) ** (1 / np.maximum(-normal[:, 2], 0.1))
         picture = blend(picture, np.float32(material_colour(name)[:3]), window.fill(hit, opacity))
     return downsample(picture)

@@ -1,4 +1,4 @@
-"""Simulate one subject in seven views: straight and bent, from the side, along the thigh, and both knees at once."""
+"""Simulate one subject in seven views: extended and flexed frontal views, lateral, skyline, and both knees."""
 
 import dataclasses
 from pathlib import Path
@@ -10,7 +10,7 @@ from pssf.io.pictures import make_panel, write_image_row
 
 VIEWS = ("ap_standing", "fixed_flexion", "lyon_schuss", "rosenberg", "lateral", "skyline", "bilateral")
 WIDTH_PX = 1600
-# Width and height of the window around the image centre, in mm on the detector, for views with another window.
+# Width and height of the window around the image centre, in mm on the detector, for views that need another window.
 WINDOW_MM = {"skyline": (240.0, 106.0), "bilateral": (430.0, 350.0)}
 WIDTH_MM, HEIGHT_MM = 150.0, 210.0
 

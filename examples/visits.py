@@ -24,7 +24,7 @@ def run(out: Path, pixels: int = 1024) -> list[Path]:
     panels = []
     processing = msgspec.structs.replace(load_display_processing().processed, **WINDOW)
     for visit, years in enumerate(YEARS):
-        # Calls with the same seed and different years give visits of the same patient history.
+        # Calls with the same seed and different years give successive visits along one course of progression.
         knee = pssf.progress(first, years, np.random.default_rng(8))
         change = pssf.true_change(first, knee)
         protocol = pssf.sample_acquisition(nominal, rng=np.random.default_rng([8, visit]), side=knee.side)

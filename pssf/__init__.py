@@ -16,6 +16,7 @@ io          reading and writing of files; no other subpackage writes files
 cohort      preset, seed         -> radiographs and their manifest
 radiomics   radiograph           -> region and features              (extra "study")
 study       features             -> models, statistics, report       (extra "study")
+standard_templates  radiographs of reference knees, with which joints are localised  (extra "study")
 experiment  run of a cohort and its study
 benchmark   frozen data set with splits and baselines                (extra "study")
 quality     image quality of a protocol, compared with reference values

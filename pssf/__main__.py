@@ -5,8 +5,8 @@ import sys
 
 if __name__ == "__main__" and not sys.flags.safe_path and sys.path[:1] == [os.getcwd()]:
     # With `python -m`, Python searches the working folder first, so a file `signal.py` in it would replace the module
-    # of the standard library. The working folder is removed from the search path. If it contains pssf, it is moved
-    # behind the standard library instead.
+    # of the standard library. The working folder is removed from the search path. If the working folder contains pssf,
+    # the folder is moved behind the standard library instead.
     _folder, _library = sys.path.pop(0), os.path.dirname(os.__file__)
     if os.path.dirname(os.path.dirname(os.path.abspath(__file__))) == _folder:
         _places = [sys.path.index(one) for one in (_library, os.path.join(_library, "lib-dynload")) if one in sys.path]

@@ -1,4 +1,4 @@
-"""Simulate a radiograph of a knee, of both knees, or of any scene, with a protocol."""
+"""Simulate a radiograph of one knee, of both knees, or of any other scene, with a protocol."""
 
 import warnings
 from collections.abc import Collection
@@ -44,7 +44,7 @@ from .raycast import (
     ENGINES,
     Audit,
     Paths,
-    compute_silhouette,
+    compute_face_silhouette,
     trace,
     trace_sparse,
 )
@@ -53,11 +53,13 @@ from .stages import LatentImage, StageContext, run_stages
 from .xray.collimator import field_half_size_mm
 from .xray.resolved_technique import Technique, resolve_technique
 
-# Names of the intermediate maps that a radiograph can keep.
+# Package and libraries whose versions affect the pixels.
+PIXEL_LIBRARIES = ("pssf", "embreex", "manifold3d", "numba", "numpy", "scipy", "spekpy", "trimesh", "xraylib")
+# Names of the intermediate maps that a radiograph can store.
 KEEPABLE_MAPS = ("path_mm", "primary", "scatter", "noise_free", "masks")
 # Types of objects that `simulate` accepts.
 Subject = Knee | BuiltKnee | BuiltPair | Scene | tuple[Knee | BuiltKnee, Knee | BuiltKnee]
-# Text of the warning about the scatter kernel in axial views.
+# Text of the warning that the scatter kernel is not fitted to axial views.
 _AXIAL_KERNEL_WARNING = (
     "scatter = 'kernel' is not fitted to axial views; scatter is about 30 % too high "
     "(docs/validation/views_and_quality.md); use scatter = 'monte_carlo', which is valid in every view"
@@ -65,7 +67,7 @@ _AXIAL_KERNEL_WARNING = (
 
 
 class KernelNotice(UserWarning):
-    """Warning that the scatter kernel is used outside its valid range; the message states the error."""
+    """Warning that the scatter kernel is used outside its valid range; the message states the scatter error."""
 
 
 @check_keywords(seed="rng")
@@ -80,44 +82,44 @@ def simulate(
     workers: int = 2,
     paths: Paths | None = None,
 ) -> Radiograph:
-    """Simulate a radiograph of a knee, of both knees of a patient, or of a scene.
+    """Simulate a radiograph of one knee, of both knees of a patient, or of a scene.
 
     Parameters
     ----------
     knee : Knee, BuiltKnee, (right, left) pair, BuiltPair or Scene
-        Object to image. A result of `build` can be used for several protocols with the same posture. A right and a left
-        knee require a protocol that images both (`knee_distance_mm`). A scene is imaged at its own position.
+        Object to image. A result of `build` can be used for several protocols with the same posture. A pair of knees
+        requires a protocol that images both knees (`knee_distance_mm`). A scene is imaged without positioning.
     protocol : Protocol, str or path
         Technique, geometry and detector. A name or path is loaded with `load_protocol`.
     rng : int or numpy.random.Generator, default 0
-        Seed of the noise. The same integer gives identical pixels for any number of workers. From a Generator, an
-        integer is sampled, which the radiograph stores as `seed`.
+        Seed of the noise. The same integer gives identical pixels for any number of workers. A Generator is used to
+        sample an integer, which the radiograph stores as `seed`.
     keep : collection of str, default ()
         Maps to store in `Radiograph.kept`: ``"path_mm"``, ``"primary"``, ``"scatter"`` and ``"noise_free"``.
         ``"masks"`` adds the silhouettes of bones, osteophytes, cysts and implants to `truth`.
     engine : {"embree", "scanline"}, default "embree"
-        Ray caster; the path lengths of the two engines agree within 1e-9 mm.
+        Ray casting engine; the path lengths of the two engines agree within 1e-9 mm.
     workers : int, default 2
         Number of threads, from 1 to 256; it does not change the result.
     paths : Paths, optional
-        Result of `trace` for the same scene and view. It can be used for several protocols with the same source and
-        detector position.
+        Result of `trace` for the same scene and view. The path lengths can be used for several protocols with the same
+        source and detector position.
 
     Returns
     -------
     Radiograph
-        Pixels with the protocol, the seed, labels and provenance.
+        Pixels with protocol, seed, labels and provenance.
 
     Raises
     ------
     InputError
-        If a name is unknown, the scene cannot be traced, `paths` belong to another scene or view, or the leg reaches
+        If a name is unknown, the scene cannot be traced, `paths` belong to another scene or view, or the leg extends
         behind the detector.
 
     Warns
     -----
     KernelNotice
-        If the scatter kernel is used in an axial view or a small field; the message states its error.
+        If the scatter kernel is used in an axial view or a small field; the message states the scatter error.
     ImageNotice
         If pixels within the object are saturated, the scene or landmarks are outside the image, or a formula resembles
         the name of an alloy.
@@ -143,7 +145,7 @@ def simulate(
     _require_arguments(knee, protocol, keep, engine, workers)
     clock = Timer()
     subject = _build_subject(knee, protocol, workers)
-    # The radiograph stores the final beam angle instead of the rule that determined it.
+    # The radiograph stores the final beam angle instead of the positioning rule that determines it.
     protocol = subject.aim_beam(protocol) if isinstance(subject, BuiltKnee) else protocol
     technique = resolve_technique(protocol)
     scene = subject if isinstance(subject, Scene) else subject.scene
@@ -193,7 +195,7 @@ def _find_kernel_warnings(technique: Technique) -> list[KernelNotice]:
     least = " x ".join(f"{side:g}" for side in technique.kernel.full_field_mm)
     return [
         KernelNotice(
-            f"scatter = 'kernel' is not fitted to a field of {width_mm:.0f} x {height_mm:.0f} mm, less than {least} mm;"
+            f"scatter = 'kernel' is not fitted to fields below {least} mm, got {width_mm:.0f} x {height_mm:.0f} mm;"
             f" scatter at the joint is {off.low:g} to {off.high:g} times that of the Monte Carlo simulation; "
             "use scatter = 'monte_carlo', which is valid for every field"
         )
@@ -201,17 +203,17 @@ def _find_kernel_warnings(technique: Technique) -> list[KernelNotice]:
 
 
 def _require_arguments(knee: Subject, protocol: Protocol, keep: Collection[str], engine: str, workers: int) -> None:
-    """Raise InputError if arguments of `simulate` are invalid or contradict each other."""
+    """Raise InputError if arguments of `simulate` are invalid or inconsistent."""
     require_choice("engine", engine, ENGINES)
     require_workers(workers)
     if isinstance(keep, str) or not isinstance(keep, Collection):
-        raise InputError(f"keep must be a list of any of {', '.join(KEEPABLE_MAPS)}, got {keep!r}")
+        raise InputError(f"keep must be a list with names from {', '.join(KEEPABLE_MAPS)}, got {keep!r}")
     for name in keep:
         require_choice("keep", name, KEEPABLE_MAPS)
     if "masks" in keep and isinstance(knee, Scene):
-        raise InputError("keep must not contain masks for a Scene, got keep = masks: only parts of a Knee have names")
+        raise InputError("keep must not contain masks for a Scene, got keep = masks: masks need a Knee")
     if not isinstance(protocol, Protocol):
-        raise InputError(f"protocol must be a Protocol, such as load_protocol returns, got {protocol!r}")
+        raise InputError(f"protocol must be a Protocol, for example from load_protocol, got {protocol!r}")
     pair = isinstance(knee, tuple) and len(knee) == 2
     knees: Any = knee.knees if isinstance(knee, BuiltPair) else knee if pair else (knee,)
     for one in knees:
@@ -223,18 +225,18 @@ def _require_arguments(knee: Subject, protocol: Protocol, keep: Collection[str],
         )
     if isinstance(knee, BuiltPair) and knee.knee_distance_mm != protocol.knee_distance_mm:
         raise InputError(
-            f"knee_distance_mm must be {knee.knee_distance_mm:g} mm, with which the knees were built, "
-            f"got {protocol.knee_distance_mm:g} mm"
+            f"knee_distance_mm must be {knee.knee_distance_mm:g} mm, as in build, got {protocol.knee_distance_mm:g} mm"
         )
 
 
 def _require_knee(knee: object, protocol: Protocol) -> None:
     """Raise InputError if a subject is neither a knee nor a scene, or is not built in the posture of the protocol."""
     if not isinstance(knee, Knee | BuiltKnee | Scene):
-        raise InputError(f"knee must be a Knee, a BuiltKnee, a right and a left one, or a Scene, got {knee!r}")
+        raise InputError(f"knee must be a Knee, a BuiltKnee, a (right, left) pair of them, or a Scene, got {knee!r}")
     if isinstance(knee, BuiltKnee) and knee.assembly.posture != protocol.posture:
         raise InputError(
-            f"knee must be built in {protocol.posture}, got {knee.assembly.posture}: call build(knee, protocol)"
+            f"knee must be built in the protocol posture, {protocol.posture}, got {knee.assembly.posture}: "
+            "call build(knee, protocol)"
         )
 
 
@@ -251,7 +253,7 @@ def _build_subject(knee: Subject, protocol: Protocol, workers: int) -> BuiltKnee
 
 
 def _trace_scene(scene: Scene, context: StageContext, paths: Paths | None) -> tuple[LatentImage, Audit]:
-    """Compute the path lengths or use the given ones; return the initial latent image and the ray counts.
+    """Compute the path lengths or use the specified ones; return the initial latent image and the ray counts.
 
     Path lengths are stored as sparse maps unless the radiograph keeps them.
     """
@@ -272,12 +274,12 @@ def _describe_subject(
     masked = "masks" in keep
     if isinstance(subject, BuiltKnee):
         truth = subject.truth(protocol)
-        truth = _add_masks(truth, subject.part_meshes(), protocol) if masked else truth
+        truth = _add_masks(truth, subject.mask_meshes(), protocol) if masked else truth
         return {"knee": subject.knee, "truth": truth, "surgery": subject.surgery_table()}
     if isinstance(subject, BuiltPair):
         truths = subject.truths(protocol)
         if masked:
-            pairs = zip(truths, subject.part_meshes(), strict=True)
+            pairs = zip(truths, subject.mask_meshes(), strict=True)
             truths = tuple(_add_masks(truth, solids, protocol) for truth, solids in pairs)
         surgery = tuple(step for built in subject.knees for step in built.surgery_table(f"{built.knee.side}_"))
         return {"knees": tuple(built.knee for built in subject.knees), "truths": truths, "surgery": surgery}
@@ -286,23 +288,20 @@ def _describe_subject(
 
 def _add_masks(truth: Truth, solids: dict[str, Mesh], protocol: Protocol) -> Truth:
     """Add the silhouettes of bones, osteophytes, cysts and implants to the labels of a knee."""
-    return replace(truth, masks={name: compute_silhouette(mesh, protocol) for name, mesh in solids.items()})
+    view = resolve_view(protocol)
+    return replace(truth, masks={name: compute_face_silhouette(mesh, view) for name, mesh in solids.items()})
 
 
 def _require_matching_paths(paths: Paths, scene: Scene, protocol: Protocol) -> None:
-    """Raise InputError if path lengths do not belong to the scene and the view of the protocol."""
+    """Raise InputError if path lengths do not belong to the scene and to the view of the protocol."""
     if not isinstance(paths, Paths):
-        raise InputError(f"paths must be Paths, such as trace returns, got {type(paths).__name__}")
+        raise InputError(f"paths must be a Paths object from trace, got {type(paths).__name__}")
     if paths.scene is not scene:
-        raise InputError(f"paths must belong to the simulated scene, {scene!r}, got paths of {paths.scene!r}")
+        raise InputError(f"paths must belong to the simulated scene {scene!r}, got scene {paths.scene!r}")
     if paths.view != resolve_view(protocol):
-        raise InputError(
-            f"paths must be traced in the view of the protocol, {resolve_view(protocol)}, got {paths.view}"
-        )
+        raise InputError(f"paths must have the view of the protocol, {resolve_view(protocol)}, got {paths.view}")
     if paths.texture != protocol.texture:
-        raise InputError(
-            f"paths must be traced with the texture of the protocol, {protocol.texture!r}, got {paths.texture!r}"
-        )
+        raise InputError(f"paths must have the texture of the protocol, {protocol.texture!r}, got {paths.texture!r}")
 
 
 @cache
@@ -312,7 +311,6 @@ def collect_versions() -> dict[str, str]:
     Returns
     -------
     dict of str to str
-        Version per package.
+        Version of each package, keyed by package name.
     """
-    names = ("pssf", "embreex", "manifold3d", "numba", "numpy", "scipy", "spekpy", "trimesh", "xraylib")
-    return {name: version(name) for name in names}
+    return {name: version(name) for name in PIXEL_LIBRARIES}

@@ -1,7 +1,7 @@
 """Imaging stages in order: for each stage, the protocols that need it and its effect on the latent image.
 
 All stages use the same `StageContext`. A stage that the protocol does not need is skipped. Building the anatomy and ray
-casting are not stages, because path lengths may also be given by the user.
+casting are not stages, because the user may also supply path lengths.
 """
 
 from collections.abc import Callable, Mapping
@@ -29,10 +29,10 @@ from .xray.primary_beam import Signal, compute_primary, compute_primary_before_a
 from .xray.resolved_technique import Technique
 from .xray.spectrum import compute_beam
 
-# Spawn key of the random streams of noise, combined with the seed of a radiograph. Bone shape and pose are sampled
-# earlier, with the knee.
+# Spawn key of the random streams for noise, combined with the seed of a radiograph. Bone shape and pose are sampled
+# earlier and have other spawn keys.
 _NOISE_STREAM = 3
-# Number of source points along each side of a sampled focal spot.
+# Number of source points along each side of the focal spot, for a sampled focal spot.
 _FOCAL_SPOT_POINTS = 3
 
 
@@ -45,11 +45,11 @@ class StageContext:
     technique : Technique
         Resolved protocol.
     engine : {"embree", "scanline"}, default "embree"
-        Ray caster for a sampled focal spot.
+        Ray casting engine for a sampled focal spot.
     seed : int, default 0
-        Seed of the exposure, from which the random streams of quantum noise and readout noise are derived.
+        Seed of the exposure, from which the random streams for quantum noise and readout noise are derived.
     keep : frozenset of str
-        Names of the intermediate maps to keep.
+        Names of the intermediate maps to store in the radiograph.
     workers : int, default 2
         Number of threads; it does not change the result.
     """
@@ -61,7 +61,7 @@ class StageContext:
     workers: int = 2
 
     def make_noise_seed(self, number: int) -> np.random.SeedSequence:
-        """Make the seed of quantum noise or of readout noise.
+        """Make the seed for quantum noise or readout noise.
 
         Parameters
         ----------
@@ -88,8 +88,8 @@ class LatentImage:
     scene : Scene, optional
         Scene in which the path lengths were computed; None if there is no scene.
     air_gaps_mm : (32, 32) float64 array or float, optional
-        Distance from the exit surface of the object to the detector plane, in mm. If None, it is computed from the
-        scene when first needed.
+        Distance from the exit surface of the object to the detector plane, in mm. If None, the distance is computed
+        from the scene when it is first needed.
     primary : Signal, optional
         Signal of unscattered photons.
     primary_behind_grid : Signal, optional
@@ -101,7 +101,7 @@ class LatentImage:
     noisy : (rows, cols) float32 array, optional
         Signal with quantum noise.
     kept : dict
-        Intermediate maps that are kept, keyed by name.
+        Intermediate maps to store in the radiograph, keyed by name.
     pixels : (rows, cols) uint16 array, optional
         Pixel values in DN.
     frequencies : (rows, cols) complex64 array, optional
@@ -133,7 +133,7 @@ class LatentImage:
         Returns
         -------
         (32, 32) float64 array or float
-            Air gaps in mm, computed at the first call and then stored; 0 without a scene.
+            Air gaps in mm, computed in the first call and then cached; 0 without a scene.
         """
         if self.air_gaps_mm is None:
             self.air_gaps_mm = 0.0 if self.scene is None else compute_air_gaps_mm(self.scene, view)
@@ -141,13 +141,13 @@ class LatentImage:
 
     @property
     def computed_primary(self) -> Signal:
-        """Primary signal, which an earlier stage has computed."""
+        """Primary signal, as computed by an earlier stage."""
         assert self.primary is not None
         return self.primary
 
     @property
     def expected_signal(self) -> Map:
-        """Sum of primary and scatter in keV per pixel, computed at the first access and then stored."""
+        """Sum of primary and scatter in keV per pixel, computed at the first access and then cached."""
         if self.signal is None:
             primary = self.computed_primary.kev
             self.signal = primary if self.scatter is None else primary + self.scatter
@@ -164,7 +164,7 @@ class LatentImage:
         Returns
         -------
         (padded rows, padded cols / 2 + 1) complex64 array
-            Fourier coefficients of the padded signal, computed at the first call and then stored.
+            Fourier coefficients of the padded signal, computed in the first call and then cached.
         """
         if self.frequencies is None:
             self.frequencies = detector_blur.transform_to_frequency(self.expected_signal, workers)
@@ -178,14 +178,14 @@ class Stage:
     Parameters
     ----------
     name : str
-        Name of the stage in the reported run times.
+        Stage name in the reported run times.
     is_requested : callable
         Function that returns True if a protocol needs the stage.
     run : callable
-        Function that applies the stage to a latent image, in place, with a stage context.
+        Function of a latent image and a stage context that applies the stage to the image in place.
     reads : {"paths", "photons"}, optional
-        Maps that the stage uses, which must be kept until then. ``"paths"`` means path lengths, and primary and scatter
-        as separate maps. ``"photons"`` means the photon energy map of the primary.
+        Maps that the stage uses, which must be retained until then. ``"paths"`` means path lengths, and primary and
+        scatter as separate maps. ``"photons"`` means the photon energy map of the primary.
     """
 
     name: str
@@ -195,12 +195,12 @@ class Stage:
 
 
 def prepare_spectrum(image: LatentImage, context: StageContext) -> None:
-    """Compute the tube spectrum if it is not in the cache, so that its run time is reported separately.
+    """Compute the tube spectrum if it is not cached, so that its run time is reported separately.
 
     Parameters
     ----------
     image : LatentImage
-        Not used.
+        Latent image, which this stage does not use.
     context : StageContext
         Technique and settings.
     """
@@ -208,7 +208,7 @@ def prepare_spectrum(image: LatentImage, context: StageContext) -> None:
 
 
 def attenuate(image: LatentImage, context: StageContext) -> None:
-    """Compute the primary by the Beer-Lambert law, for rays from the centre of the focal spot.
+    """Compute the primary by the Beer-Lambert law, with rays from the centre of the focal spot.
 
     Parameters
     ----------
@@ -225,7 +225,7 @@ def attenuate(image: LatentImage, context: StageContext) -> None:
 
 
 def sample_focal_spot(image: LatentImage, context: StageContext) -> None:
-    """Compute the primary as the mean over source points of the focal spot, with the correct blur at every depth.
+    """Compute the primary as the mean over focal-spot source points, which gives the correct blur at every depth.
 
     Parameters
     ----------
@@ -263,7 +263,7 @@ def add_monte_carlo_scatter(image: LatentImage, context: StageContext) -> None:
     Parameters
     ----------
     image : LatentImage
-        Image with a scene; the scatter is set, and its error is kept as ``scatter_error``.
+        Image with a scene; the scatter is set, and its statistical error is stored as ``scatter_error``.
     context : StageContext
         Technique and settings.
     """
@@ -278,12 +278,12 @@ def add_monte_carlo_scatter(image: LatentImage, context: StageContext) -> None:
 
 
 def apply_grid(image: LatentImage, context: StageContext) -> None:
-    """Attenuate primary and scatter by the anti-scatter grid, for the primary according to its spectrum in each pixel.
+    """Attenuate primary and scatter by the anti-scatter grid; the primary is attenuated by its spectrum in each pixel.
 
     Parameters
     ----------
     image : LatentImage
-        Image with primary and path lengths; primary and scatter are changed.
+        Image with primary and path lengths; primary and scatter are modified.
     context : StageContext
         Technique and settings.
     """
@@ -291,7 +291,7 @@ def apply_grid(image: LatentImage, context: StageContext) -> None:
     if image.primary_behind_grid is not None:
         image.primary, image.primary_behind_grid = image.primary_behind_grid, None
     else:
-        # The grid transmission is computed for rays from the centre of the focal spot and applied to the mean over the
+        # The grid transmission is computed for rays from the centre of the focal spot, and applied to the mean over the
         # focal spot.
         before, after = _compute_primary_at_grid(image, context)
         passed = np.divide(after.kev, before.kev, out=np.zeros_like(after.kev), where=before.kev > 0)
@@ -310,12 +310,12 @@ def _compute_primary_at_grid(image: LatentImage, context: StageContext) -> tuple
 
 
 def blur_focal_spot(image: LatentImage, context: StageContext) -> None:
-    """Blur the whole image by the focal spot, with the blur width of the joint plane.
+    """Blur the entire image by the focal spot, with the blur width of the joint plane.
 
     Parameters
     ----------
     image : LatentImage
-        Image with primary and scatter; the signal is changed.
+        Image with primary and scatter; the signal is modified.
     context : StageContext
         Technique and settings.
     """
@@ -337,7 +337,7 @@ def add_side_marker(image: LatentImage, context: StageContext) -> None:
     Parameters
     ----------
     image : LatentImage
-        Image with a signal, which is changed.
+        Image with a signal, which is modified.
     context : StageContext
         Technique and settings.
     """
@@ -367,7 +367,7 @@ def blur_panel(image: LatentImage, context: StageContext) -> None:
     Parameters
     ----------
     image : LatentImage
-        Image with a signal, which is changed. A noisy signal is changed too.
+        Image with a signal, which is modified. A noisy signal is modified too.
     context : StageContext
         Technique and settings.
     """
@@ -395,7 +395,7 @@ def read_out(image: LatentImage, context: StageContext) -> None:
     Parameters
     ----------
     image : LatentImage
-        Image with a signal; the pixels are set, and ``noise_free`` is kept on request.
+        Image with a signal; the pixels are set, and ``noise_free`` is stored if requested.
     context : StageContext
         Technique and settings.
     """
@@ -427,12 +427,12 @@ def select_stages(protocol: Protocol) -> list[Stage]:
     Parameters
     ----------
     protocol : Protocol
-        Protocol with the requested stages.
+        Protocol that determines which stages are needed.
 
     Returns
     -------
     list of Stage
-        Stages to run.
+        Stages that the protocol needs.
     """
     return [stage for stage in STAGES if stage.is_requested(protocol)]
 
@@ -443,19 +443,19 @@ def run_stages(image: LatentImage, context: StageContext) -> dict[str, float]:
     Parameters
     ----------
     image : LatentImage
-        Image with path lengths; pixels and kept maps are set, and other maps are released.
+        Image with path lengths; pixels and requested intermediate maps are set, and other maps are released.
     context : StageContext
         Technique and settings.
 
     Returns
     -------
     dict of str to float
-        Run time per stage, in s.
+        Run time of each stage, in s.
 
     Raises
     ------
     InputError
-        If a stage raises InputError.
+        If a stage receives invalid input.
     """
     clock, stages = Timer(), select_stages(context.technique.protocol)
     for place, stage in enumerate(stages, 1):
@@ -466,7 +466,7 @@ def run_stages(image: LatentImage, context: StageContext) -> dict[str, float]:
 
 
 def _drop_unread_maps(image: LatentImage, read_later: set[str | None], keep: frozenset[str]) -> None:
-    """Release the maps that no later stage uses, because a map of a large detector takes a quarter of a gigabyte."""
+    """Release the maps that no later stage uses, because one map of a large detector needs 250 MB of memory."""
     if "paths" in read_later or image.primary is None:
         return
     image.path_mm = {}
@@ -474,8 +474,8 @@ def _drop_unread_maps(image: LatentImage, read_later: set[str | None], keep: fro
         if name in keep and held is not None:
             image.kept.setdefault(name, held)
     signal = image.expected_signal
-    # Quantum noise uses only the photon energy map of the primary, so the primary signal is replaced by the total
-    # signal.
+    # Quantum noise uses only the photon energy map of the primary; the primary signal is therefore replaced by the
+    # total signal.
     image.primary = Signal(signal, image.primary.photon_kev) if "photons" in read_later else None
     image.scatter = None
 
@@ -492,7 +492,7 @@ def compute_sampled_primary(
     technique : Technique
         Resolved protocol.
     engine : {"embree", "scanline"}
-        Ray caster.
+        Ray casting engine.
     workers : int
         Number of threads; it does not change the result.
     points_per_side : int, default 3

@@ -90,7 +90,7 @@ class Cohort:
 def write_film(
     path: Path, grade: int, side: str, seed: int, *, polarity: str = "bone bright", zoomed: float = 0.8
 ) -> Path:
-    """Write a film of a block knee as an 8-bit PNG, resampled by the factor `zoomed`."""
+    """Write the radiograph of a block knee as an 8-bit PNG, resampled by the factor `zoomed`."""
     rng = np.random.default_rng(seed)
     pixels = render_block_knee(grade, *rng.uniform(120, 136, 2), side, 1.0, 30000, 1000 + seed)
     displayed = np.clip(zoom(render_for_display(pixels).astype(float), zoomed, order=1), 0, 255).astype(np.uint8)
@@ -103,7 +103,7 @@ TEMPLATE = Template(
     pixels=render_block_knee(0, 128, 140, "right", 3.0, 60000, 0), row=128, col=140, pixel_mm=PIXEL_MM, plateau_mm=74.0
 )
 SMALL = StudySettings(region_px=80, bins=32, repeats=2, replicates=200, selections=("l1",), models=("lr", "rf"))
-# A study with films needs at least one protocol, two grades and two feature families.
+# Settings of the smallest study with patient films: one protocol, two grades and two feature families.
 LIGHT = StudySettings(
     region_px=80, bins=32, repeats=1, replicates=100, selections=("l1",), models=("lr",), families=("shape2D", "glcm")
 )
@@ -137,7 +137,7 @@ def write_films(folder: Path) -> Path:
 
 
 def make_film_set(folder: Path, **changes: Any) -> FilmSet:
-    """Make a film set of a folder, with the displayed radiographs of the cohort."""
+    """Make a film set from a folder of films; simulated radiographs come from the cohort after display processing."""
     settings = {
         "protocol": "reference",
         "load": lambda file: read_film(folder / file),

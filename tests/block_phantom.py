@@ -10,7 +10,7 @@ SHAPE = (320, 320)
 
 
 def make_phantom(row, col, side="right", scale=1.0, noise=0.0, seed=0, tibia_mm=2.5, bones=1.0):
-    """Make a phantom with its medial joint gap at (row, col), as (320, 320) uint16 with air beside the limb.
+    """Make a (320, 320) uint16 phantom of a limb in air with its medial joint gap at (row, col).
 
     The femur begins 2.5 mm above that row, the tibia `tibia_mm` below it.
     """

@@ -1,4 +1,4 @@
-"""Brute-force path lengths: test every triangle of the given meshes; the last surgical step has priority."""
+"""Brute-force ray tracing: every ray is tested against every triangle; the last surgical step has priority."""
 
 from itertools import pairwise
 
@@ -37,12 +37,12 @@ def find_crossings(mesh, source, end):
 
 
 def are_inside(at, positions):
-    """Return for each position along a ray whether it is inside a mesh that the ray crosses at these distances."""
+    """Report which positions along a ray are inside a mesh, from the distances at which the ray crosses the mesh."""
     return np.searchsorted(at, positions) % 2 == 1
 
 
 class BruteForceRays:
-    """Rays of a protocol through a scene: crossings are computed once, path lengths for any surgical steps."""
+    """Rays of a protocol through a scene; crossings are computed once and reused for all surgical steps."""
 
     def __init__(self, scene, protocol, pixels):
         self.scene, self.pixels = scene, pixels

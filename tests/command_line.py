@@ -1,4 +1,4 @@
-"""Run the command line in a new process or in the test's own process."""
+"""Helpers that run the command line in a new process or in the process of the test."""
 
 import subprocess
 import sys
@@ -18,7 +18,7 @@ def run_in_process(*arguments: object) -> "subprocess.CompletedProcess[str]":
 
 
 def run(*arguments: object) -> "subprocess.CompletedProcess[str]":
-    """Run `pssf ARGUMENTS` in this process, which is faster."""
+    """Run `pssf ARGUMENTS` in the process of the test, which is faster than a new process."""
     out, errors = StringIO(), StringIO()
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(errors):
         patch.setattr(sys, "argv", ["pssf", *map(str, arguments)])

@@ -1,4 +1,4 @@
-"""Shared fixtures: a knee built once, a small detector."""
+"""Fixtures for all tests, such as a knee that is built once and a protocol with a small detector."""
 
 import dataclasses
 import json
@@ -35,7 +35,7 @@ settings.load_profile("pssf")
 
 @pytest.fixture(scope="session")
 def small() -> pssf.Protocol:
-    """Return the reference protocol with 256 x 256 pixels of 1.2 mm, which cover the same field."""
+    """Return the reference protocol with 256 x 256 pixels of 1.2 mm and an unchanged field of view."""
     return dataclasses.replace(pssf.load_protocol("reference"), rows=256, cols=256, pixel_mm=1.2)
 
 
@@ -104,13 +104,13 @@ def build_once(knee: pssf.Knee, protocol: pssf.Protocol | None = None) -> pssf.B
 
 
 def forget_built_knees() -> None:
-    """Make the next radiograph of any knee build that knee again, for tests of reproducibility."""
+    """Clear the cache of built knees, for tests of reproducibility."""
     _built_knees.clear()
 
 
 @pytest.fixture(scope="session", autouse=True)
 def built_once() -> Iterator[None]:
-    """Cache the knees that radiographs and cohorts of this process build; other processes build their own."""
+    """Cache the knees that are built in the test process; worker processes have no such cache."""
     with pytest.MonkeyPatch.context() as patch:
         for module in (simulation, cohort_maker):
             patch.setattr(module, "build", build_once)

@@ -23,7 +23,7 @@ def resolve_at(tube_kv):
 
 
 def compute_transmission(energies_kev, weights, substance, mm):
-    """Return the weighted transmission of a material."""
+    """Compute the weighted transmission of a material of a given thickness."""
     return float((weights * np.exp(-attenuation_per_mm(substance, energies_kev) * mm)).sum() / weights.sum())
 
 
@@ -31,7 +31,7 @@ def compute_transmission(energies_kev, weights, substance, mm):
     ("name", "mm", "tube_kv"),
     [("I@4.93", 0.3, 40), ("Gd@7.9", 0.2, 80), ("Ta@16.65", 0.1, 110), ("Ag@10.5", 0.2, 40), ("Ba@3.5", 0.3, 70)],
 )
-def test_transmission_at_a_k_edge_is_within_a_fifth_of_a_percent(name, mm, tube_kv):
+def test_transmission_near_a_k_edge_is_accurate_to_0_2_percent(name, mm, tube_kv):
     technique, of = resolve_at(tube_kv), find_material(name)
     protocol = technique.protocol
     # The expected value uses bins of 0.02 keV that also end at the edges.
@@ -45,7 +45,7 @@ def test_transmission_at_a_k_edge_is_within_a_fifth_of_a_percent(name, mm, tube_
     )
 
 
-def test_iodine_has_the_contrast_of_a_finely_binned_spectrum():
+def test_iodine_contrast_equals_that_of_a_finely_binned_spectrum():
     protocol = dataclasses.replace(
         *(pssf.load_protocol("reference"),), rows=9, cols=9, tube_kv=40.0, focal_spot_mm=0.0, scatter="none",
         noise="none", detector_blur="none",
@@ -68,7 +68,7 @@ def test_tissues_do_not_change_the_spectrum_bins():
         assert np.array_equal(getattr(one, field), getattr(other, field))
 
 
-def test_edges_do_not_change_the_open_beam_signal():
+def test_absorption_edges_do_not_change_the_open_beam_signal():
     technique = resolve_at(70)
     signals = [
         (beam.photons_per_mm2 * beam.signal_kev).sum()
@@ -78,7 +78,7 @@ def test_edges_do_not_change_the_open_beam_signal():
 
 
 @given(st.lists(st.floats(9.0, 41.0), max_size=6))
-def test_split_bins_keep_their_photons_and_end_at_the_edges(edges):
+def test_splitting_spectrum_bins_at_edges_preserves_the_photon_number(edges):
     energies = np.arange(10.25, 40.0, 0.5)
     photons = np.linspace(1.0, 2.0, len(energies))
     middles, parts = spectrum._split_bins(energies, photons, edges, 0.5)
@@ -86,6 +86,6 @@ def test_split_bins_keep_their_photons_and_end_at_the_edges(edges):
     assert (np.diff(middles) > 0).all()
     for edge in edges:
         below = middles < edge
-        # Photons below an edge belong to the bins below it and to part of the split bin.
+        # Fraction of each original bin that is below the edge.
         whole = np.clip((edge - (energies - 0.25)) / 0.5, 0.0, 1.0)
         assert_allclose(parts[below].sum(), (photons * whole).sum(), atol=1e-9)

@@ -53,7 +53,7 @@ def bones_without_osteophytes(shells_mm):
     return {"femur": (femur, made[0]), "tibia": (tibia, made[1])}
 
 
-def test_a_loft_of_equal_rings_has_the_volume_of_their_prism():
+def test_a_loft_between_equal_rings_has_the_volume_of_a_prism():
     rings = np.array([make_ring(3.0, 3.0, (0.0, 0.0, z), 2.0, 64) for z in (0.0, 2.0, 5.0)])
     area = 0.5 * 64 * 9.0 * np.sin(2 * np.pi / 64)
     assert_allclose(loft(rings, "prism").volume(), 5.0 * area, rtol=1e-12)
@@ -72,7 +72,7 @@ def test_an_empty_solid_is_rejected_with_its_status_and_volume():
 
 @given(seed=st.integers(0, 2**32), grade=st.sampled_from([0, 1, 2]))
 @settings(max_examples=8)
-def test_every_sampled_knee_is_watertight_and_has_its_joint_spaces(seed, grade):
+def test_every_sampled_knee_is_watertight_and_has_the_specified_jsw(seed, grade):
     knee = pssf.sample_knee(grade=grade, rng=np.random.default_rng(seed), grade_table="paper")
     built = pssf.build(knee)
     assert_allclose(built.measure_jsw_mm(REFERENCE), [knee.jsw_medial_mm, knee.jsw_lateral_mm], atol=0.01)
@@ -85,7 +85,7 @@ def test_every_sampled_knee_is_watertight_and_has_its_joint_spaces(seed, grade):
     "corner",
     [(1400.0, 0.85, 90.0, 2.0, -16.0, -10.0, -2.0), (2100.0, 1.15, 180.0, 30.0, 16.0, 10.0, 18.0)],
 )
-def test_knees_at_the_limits_of_their_ranges_can_be_built(corner):
+def test_knees_at_the_limits_of_the_parameter_ranges_can_be_built(corner):
     stature, scale, limb, fat, varus, rotation, slope = corner
     knee = pssf.Knee(
         stature_mm=stature, bone_scale=scale, limb_ap_mm=limb, fat_mm=fat, varus_deg=varus, rotation_deg=rotation,
@@ -95,7 +95,7 @@ def test_knees_at_the_limits_of_their_ranges_can_be_built(corner):
     assert_allclose(pssf.build(knee).measure_jsw_mm(REFERENCE), [2.5, 5.5], atol=0.01)
 
 
-def test_joint_spaces_are_met_when_levelling_moves_the_landmarks():
+def test_jsw_is_as_specified_if_levelling_moves_the_landmarks():
     shape = (-0.5514, 1.7933, 0.8158, -0.8964, 1.297, -0.7099, -1.356, -1.4932, 0.8587, 0.9509, -0.5973, 1.4226, 1.1711)
     knee = pssf.Knee(
         side="right", sex="female", stature_mm=1554.93, jsw_medial_mm=3.1801, jsw_lateral_mm=5.2881,
@@ -107,7 +107,7 @@ def test_joint_spaces_are_met_when_levelling_moves_the_landmarks():
     assert_allclose(pssf.build(knee, jsw_protocol).measure_jsw_mm(jsw_protocol), [3.1801, 5.2881], atol=1e-3)
 
 
-def test_a_spine_osteophyte_in_the_wall_of_a_narrow_notch_is_worn_off():
+def test_jsw_is_as_specified_with_a_spine_osteophyte_in_a_narrow_notch():
     shape = (3.0, -3.0, -3.0, -3.0, 3.0, 3.0, -3.0, 3.0, 3.0, -3.0, -3.0, 3.0, -3.0)
     knee = pssf.Knee(
         side="right", sex="female", stature_mm=1949.0, jsw_medial_mm=5.472, jsw_lateral_mm=4.555, shape=shape,
@@ -118,7 +118,7 @@ def test_a_spine_osteophyte_in_the_wall_of_a_narrow_notch_is_worn_off():
 
 
 @pytest.mark.parametrize(("varus", "spaces"), [(14.0, (0.0, 10.0)), (-14.0, (10.0, 0.0))])
-def test_a_knee_with_one_joint_space_closed_and_the_other_wide_is_built(varus, spaces):
+def test_a_knee_with_one_closed_and_one_wide_joint_space_can_be_built(varus, spaces):
     knee = pssf.Knee(jsw_medial_mm=spaces[0], jsw_lateral_mm=spaces[1], varus_deg=varus, grade=4)
     coarse = dataclasses.replace(pssf.load_protocol("fixed_flexion"), rows=128, cols=128, pixel_mm=2.4)
     # `trace` raises InputError for negative path lengths.
@@ -147,7 +147,7 @@ def test_bones_that_would_overlap_are_rejected(knee, built, monkeypatch):
     pose = built.assembly.pose
     sunk = dataclasses.replace(built.assembly, pose=dataclasses.replace(pose, raise_mm=pose.raise_mm - 12.0))
     monkeypatch.setattr("pssf.anatomy.built_knee.assemble_knee", lambda *_: sunk)
-    with pytest.raises(pssf.InputError, match=r"femur and tibia must overlap by at most 7 mm, .* mm3"):
+    with pytest.raises(pssf.InputError, match=r"femur and tibia overlap by more than 7 mm, .* mm3"):
         pssf.build(knee)
 
 
@@ -252,7 +252,7 @@ def test_a_thicker_subchondral_bone_plate_replaces_trabecular_bone():
 
 
 @pytest.mark.parametrize(("spaces", "side_sign"), [((5.0, 5.0), 1), ((4.5, 4.0), 1), ((2.0, 5.0), 1), ((5.0, 2.0), -1)])
-def test_sclerosis_is_full_on_the_narrower_side_and_partial_on_the_other(spaces, side_sign):
+def test_sclerosis_is_greater_in_the_narrower_compartment(spaces, side_sign):
     knee = pssf.Knee(jsw_medial_mm=spaces[0], jsw_lateral_mm=spaces[1], subchondral_plate=1.5)
     plates, healthy = resolve_bone_parameters(knee, TABLES).plates, resolve_bone_parameters(pssf.Knee(), TABLES).plates
     far = (
@@ -266,7 +266,7 @@ def test_sclerosis_is_full_on_the_narrower_side_and_partial_on_the_other(spaces,
 
 
 @pytest.mark.parametrize(("varus", "medial"), [(-5.0, 2.5), (0.0, 5.0), (5.0, 2.5), (5.0, 5.0)])
-def test_the_shafts_enclose_the_varus_angle_for_any_joint_space(varus, medial):
+def test_the_angle_between_the_shafts_equals_varus_for_any_jsw(varus, medial):
     sizes = morphometry.measure_knee_sizes(pssf.Knee(varus_deg=varus, jsw_medial_mm=medial))
     assert abs(sizes["error of varus_deg"]) < 0.1
 
@@ -343,6 +343,4 @@ def test_cartilage_does_not_overlap_a_marginal_osteophyte():
     assert len(layers) == 3
     for layer in layers:
         faults = pssf.check(pssf.Scene([layer], "muscle")).faults
-        assert [fault.surface for fault in faults] == [
-            "ambient"
-        ]  # the surrounding muscle is absent, which only a radiograph needs
+        assert [fault.surface for fault in faults] == ["ambient"]  # the scene contains no muscle around the layer

@@ -27,8 +27,8 @@ def compute_primary_transmission(grid, beam):
     return (transmit_through_grid(grid, beam).photons_per_mm2 * weight).sum() / (beam.photons_per_mm2 * weight).sum()
 
 
-def test_a_10_to_1_grid_reduces_scatter_to_primary_at_least_threefold(technique, beam):
-    # JHU extremity CBCT (Proc SPIE 8313:831318) reports a factor of about 3. The simulated grid does not scatter.
+def test_a_10_to_1_grid_improves_primary_to_scatter_at_least_threefold(technique, beam):
+    # JHU extremity CBCT (Proc SPIE 8313:831318) reports a factor of about 3; the simulated grid does not scatter.
     for gap_mm in (20.0, 150.0):
         assert (
             3
@@ -44,7 +44,7 @@ def test_grid_primary_transmission_matches_open_area_and_aluminium(beam):
     assert compute_primary_transmission(Grid(), at_60) == pytest.approx(0.8 * np.exp(-0.15), rel=0.01)
 
 
-def test_a_higher_ratio_or_a_smaller_air_gap_stops_more_scatter(technique, beam):
+def test_higher_grid_ratios_and_smaller_air_gaps_transmit_less_scatter(technique, beam):
     ratios = [
         compute_scatter_transmission(Grid(ratio=r), beam, 20.0, technique.material("muscle")) for r in (4.0, 8.0, 12.0)
     ]

@@ -22,7 +22,7 @@ def test_a_number_outside_its_range_gives_an_error_with_name_and_range(value):
 
 
 @pytest.mark.parametrize("value", [1.5, -1, 9, "3", True])
-def test_a_count_must_be_whole(value):
+def test_a_count_must_be_an_integer(value):
     with pytest.raises(InputError, match="rows must be a whole number from 0 to 8 pixels, got "):
         require_integer("rows", value, 0, 8, "pixels")
 
@@ -43,7 +43,7 @@ def test_a_missing_field_is_named_in_the_error():
 
 
 @pytest.mark.parametrize("value", [True, 1.0, "1", None, np.bool_(True)])
-def test_a_value_of_another_type_is_no_valid_choice(value):
+def test_a_choice_of_another_type_is_rejected(value):
     with pytest.raises(InputError, match=r"grade must be one of 0, 1, got "):
         require_choice("grade", value, (0, 1))
     require_choice("grade", np.int64(1), (0, 1))

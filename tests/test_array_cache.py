@@ -1,4 +1,4 @@
-"""Array cache: cached arrays equal computed ones and are recomputed after a change of code."""
+"""Check the array cache: cached arrays equal computed arrays, and code changes cause recomputation."""
 
 import ast
 from pathlib import Path
@@ -69,7 +69,7 @@ def test_a_change_of_code_or_library_recomputes_the_arrays(folder, tmp_path, mon
     assert len(list(folder.glob("thing-*"))) == 4
 
 
-def test_a_damaged_or_disabled_cache_only_recomputes(folder, monkeypatch):
+def test_arrays_are_recomputed_if_the_cache_is_damaged_or_disabled(folder, monkeypatch):
     make, calls = make_counted_function()
     array_cache.load_or_make_arrays("thing", ORIGIN, make)
     next(folder.iterdir()).write_bytes(b"PK nothing of the kind")
@@ -105,7 +105,7 @@ def test_a_cached_spectrum_equals_the_computed_one(folder):
     assert [path.name.rsplit("-", 1)[0] for path in folder.iterdir()] == ["spectrum-71.5-12.0-3.0-0.0"]
 
 
-def test_packaged_arrays_have_priority_unless_the_code_changed(folder, tmp_path, monkeypatch):
+def test_packaged_arrays_are_used_unless_the_code_has_changed(folder, tmp_path, monkeypatch):
     make, calls = make_counted_function()
     package = tmp_path / "package"
     (package / "core").mkdir(parents=True)
@@ -113,11 +113,12 @@ def test_packaged_arrays_have_priority_unless_the_code_changed(folder, tmp_path,
     for module in (code_hash, array_cache):
         monkeypatch.setattr(module, "PACKAGE_ROOT", package)
     clear_caches()
-    for value in (1.0, 2.0):  # the second replaces the first
+    # Saving an array a second time replaces the first array.
+    for value in (1.0, 2.0):
         array_cache.save_to_package("thing", ORIGIN, {"a": np.array([value])})
     shipped = list((package / array_cache.PACKAGED_FOLDER).iterdir())
     assert array_cache.load_or_make_arrays("thing", ORIGIN, make)["a"] == 2.0
-    # Packaged arrays do not depend on versions of libraries.
+    # Unlike cached arrays, packaged arrays are valid for all library versions.
     assert (
         array_cache.load_or_make_arrays("thing", array_cache.CacheKey(sources=("core",), libraries=("scipy",)), make)[
             "a"
@@ -154,12 +155,12 @@ def test_the_key_of_template_bones_covers_all_modules_that_make_them():
     while new:
         needed |= new
         new = {name for module in new for name in list_imports(module)} - needed
-    # Tables are hashed by content; checks and the cache do not affect the bones.
+    # Only modules of anatomy and geometry affect the bones; data tables are hashed by their content.
     assert {name for name in needed if name.startswith(("anatomy/", "geometry/"))} == set(SOURCES)
 
 
 @pytest.mark.parametrize("mean", [make_template_femur, make_template_tibia])
-def test_packaged_template_bones_equal_those_of_the_present_code(folder, mean):
+def test_packaged_template_bones_equal_those_made_by_the_current_code(folder, mean):
     name = mean.__name__.removeprefix("make_template_")
     mean.cache_clear()
     bone = mean(getattr(load_anatomy_tables().template, name), load_anatomy_tables().shape_model)
@@ -172,11 +173,11 @@ def test_packaged_template_bones_equal_those_of_the_present_code(folder, mean):
     made, kept = bone.make_arrays(), array_cache.load_or_make_arrays(name, bone.origin, dict)
     assert made.keys() == kept.keys()
     for key, values in made.items():
-        # Rounding differs between machines.
+        # Coordinates may differ in rounding between computers; face indices may not.
         np.testing.assert_allclose(kept[key], values, rtol=0, atol=0 if "faces" in key else 1)
 
 
-def test_a_template_bone_of_other_tables_is_cached_unchanged(folder, monkeypatch):
+def test_template_bones_of_modified_tables_are_cached_unchanged(folder, monkeypatch):
     shape = structs.replace(load_anatomy_tables().template.femur, edge_mm=4.0, tolerance_mm=0.3)
     solids = []
     for named in ("off", str(folder), str(folder)):

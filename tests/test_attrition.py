@@ -1,4 +1,4 @@
-"""Attrition: bones that would overlap are worn to contact, and nothing else changes."""
+"""Check attrition: bones that would overlap are worn until they are in contact, and nothing else changes."""
 
 import dataclasses
 
@@ -92,7 +92,7 @@ def test_only_the_plateau_below_the_femur_is_worn(built, monkeypatch):
     gone = before - after
     assert gone.volume() > 1.0
     assert (after - before).volume() < 1e-6
-    # The removed bone is inside the femur and the contact around it.
+    # Bone is removed only inside the femur and the contact zone around the femur.
     femur = built.bones["femur"].outer
     assert (gone - femur).volume() < 0.3 * gone.volume() + 20.0
     assert gone.bounding_box()[2] > -12.0
@@ -129,7 +129,7 @@ def test_attrition_is_the_depth_of_bone_removed_from_the_plateau(built, monkeypa
 
 
 def _measure_heights(tibia):
-    """Measure the height of the medial plateau on a grid of 0.5 mm, as (n,); nan outside the plateau."""
+    """Measure the height (n,) of the medial plateau on a 0.5 mm grid; heights outside the plateau are nan."""
     x, y = (part.ravel() for part in np.meshgrid(np.arange(14.0, 40.0, 0.5), np.arange(-30.0, 30.0, 0.5)))
     above = np.column_stack((x, y, np.full(len(x), 50.0)))
     mesh = trimesh.Trimesh(tibia.vertices, tibia.faces, process=False)
@@ -176,7 +176,7 @@ def test_a_built_knee_stores_the_attrition_of_its_assembly(wide_mm, protocol):
     assert built._attrition_by_side_mm == measure_attrition_mm(built.assembly)
 
 
-def test_sampled_knee_whose_worn_bones_nearly_coincide_builds():
+def test_a_sampled_knee_whose_worn_bones_nearly_coincide_can_be_built():
     cases = plan_cohort("population", seed=1, overrides={"knees": [1, 1, 1, 1, 1], "acquisition": "sampled"}).cases
     (case,) = [case for case in cases if case.knee.grade == 4]
     built = pssf.build(case.knee, case.exposures[0].protocol)

@@ -24,9 +24,9 @@ from pssf.study.learn.benchmark_baselines import build_benchmark_data, make_spli
 from pssf.study.learn.models import small_network
 from pssf.study.statistics.analyses.leakage_checks import find_leakage_warnings
 
-# Seven knees of six subjects, one of them bilateral: the smallest data set that can be split into three parts.
+# Seven knees of six subjects, one bilateral: the smallest data set that can be split into three parts.
 FEW_KNEES = {"knees": (4, 0, 3), "bilateral": 1, "doses": (1.0, 0.5), "tilts_deg": (0.0,)}
-# Headings of a datasheet by Gebru 2021.
+# Headings of a datasheet according to Gebru et al. 2021.
 HEADINGS = (
     *("Motivation", "Composition", "Collection process", "Preprocessing, cleaning, labelling"),
     *("Uses", "Distribution", "Maintenance"),
@@ -86,7 +86,7 @@ def read_csv(folder, name):
     return pd.read_csv(folder / name)
 
 
-def test_a_second_run_of_the_benchmark_makes_nothing_new(tiny):
+def test_a_second_benchmark_run_creates_no_new_files(tiny):
     result, before, again = tiny
     assert cohort.verify_cohort(result.folder).faults == ()
     assert again["images"] == again["regions and features"] == (14, 0)
@@ -97,7 +97,7 @@ def test_a_second_run_of_the_benchmark_makes_nothing_new(tiny):
     }  # fmt: skip
 
 
-def test_each_split_contains_each_subject_with_both_knees_in_one_part(tiny):
+def test_both_knees_of_a_subject_are_in_the_same_part_of_each_split(tiny):
     folder = tiny[0].folder
     splits, manifest, tested = (read_csv(folder, f"{name}.csv") for name in ("splits", "manifest", "predictions"))
     assert manifest.groupby("subject")["knee"].nunique().max() == 2
@@ -110,7 +110,7 @@ def test_each_split_contains_each_subject_with_both_knees_in_one_part(tiny):
     assert splits["repeat"].nunique() == load_benchmark_definition().splits
 
 
-def test_image_baselines_are_tested_at_every_dose_and_jsw_at_one(tiny):
+def test_only_image_baselines_are_tested_at_every_dose(tiny):
     result, folder = tiny[0], tiny[0].folder
     rows = read_csv(folder, "baselines.csv")
     where = rows.groupby("model")["tested_on"].agg(set).to_dict()
@@ -120,7 +120,8 @@ def test_image_baselines_are_tested_at_every_dose_and_jsw_at_one(tiny):
     assert ("cnn" in where) == is_installed
     assert any("PyTorch is not installed" in note for note in result.notes) != is_installed
     assert any("fewer than 6 subjects" in note for note in result.notes)
-    assert result.hash_agreement == (0, 0)  # a modified data set has no stored hashes to compare with
+    # Reference hashes exist only for the unmodified data set.
+    assert result.hash_agreement == (0, 0)
 
 
 def test_the_datasheet_fills_every_heading_and_reports_modifications(tiny):
@@ -330,7 +331,7 @@ def test_baselines_without_training_data_are_rejected():
     films = build_benchmark_data(usable[usable["grade"] == 2], names, parameters, LIGHT)
     with pytest.raises(
         pssf.InputError,
-        match=r"grades with a located region must include all grades of one task among 0 vs 2, .*got \[2\]",
+        match=r"grades with a located region must include all grades of at least one task among 0 vs 2, .*got \[2\]",
     ):
         predict_baselines(films, splits, LIGHT, Execution())
 
@@ -352,7 +353,7 @@ def test_network_input_of_left_knees_is_mirrored_to_right_knees():
     assert np.array_equal(right, left)
 
 
-def test_without_pytorch_the_missing_network_is_explained(monkeypatch):
+def test_a_note_explains_that_pytorch_is_missing_for_the_network(monkeypatch):
     monkeypatch.setattr(small_network, "find_spec", lambda name: None)
     from pssf.study.learn.benchmark_baselines import explain_missing_network
 
@@ -372,7 +373,7 @@ def test_a_network_learns_a_signal_and_is_reproducible_by_its_seed():
     assert np.allclose(one.sum(axis=1), 1.0)
     assert ((one[:, 1] > 0.5) == (truth[50:] == 1)).mean() >= 0.9
     (train, known), (check, known_too) = parts
-    # Shuffled labels cannot be learned: about half of the test images are right by chance.
+    # A network cannot learn shuffled labels, so it predicts some labels of the test images incorrectly.
     shuffled = small_network.train_network(
         (train, rng.permutation(known)), (check, rng.permutation(known_too)), 2, seed=1
     )

@@ -1,4 +1,4 @@
-"""Comparison of bones: registration, surface distance, mean bones and shape measures."""
+"""Check the comparison of bones: registration, surface distances, mean bones and shape measures."""
 
 import dataclasses
 
@@ -24,7 +24,7 @@ from pssf.patient_comparison.bones.surface_distance import (
 
 
 def make_pebble(bump_mm=0.0, detail=4):
-    """Make a closed body without symmetry, about 50 mm long, with a bump on one side."""
+    """Make an asymmetric closed body about 50 mm long, with a bump on one side."""
     sphere = trimesh.creation.icosphere(detail)
     x, y, z = sphere.vertices.T
     radius = 20 + 4 * x * y + 3 * z**3 + 2.5 * x**2 - 2 * np.sin(3 * y) + bump_mm * np.exp(-4 * ((x - 1) ** 2 + z**2))
@@ -45,7 +45,7 @@ def make_ball(radius_mm):
 
 
 def make_shaft(top_mm):
-    """Make a bone with a pebble as its joint end and a shaft that is cut flat at a height."""
+    """Make a bone whose joint end is a pebble and whose shaft is cut horizontally at a height."""
     mesh = trimesh.creation.cylinder(9.0, segment=([0, 0, 0], [0, 0, top_mm]), sections=48)
     both = trimesh.boolean.union([make_pebble().as_trimesh(), mesh], engine="manifold")
     return Mesh(np.asarray(both.vertices), np.asarray(both.faces))
@@ -84,7 +84,7 @@ def test_the_fit_removes_differences_of_size():
 
 
 def test_the_nearest_point_is_the_nearest_on_all_triangles():
-    # With long and short triangles the nearest centroid is not that of the nearest triangle.
+    # Triangles of unequal size: the triangle with the nearest centroid is not always the nearest triangle.
     surface = sample_surface(make_shaft(60.0))
     points = np.random.default_rng(0).normal([0.0, 0.0, 20.0], 25.0, size=(300, 3))
     found, _ = surface.find_nearest(points)
@@ -95,7 +95,7 @@ def test_the_nearest_point_is_the_nearest_on_all_triangles():
         least.append(np.linalg.norm(every - point, axis=1).min())
     more = np.linalg.norm(found - points, axis=1) - least
     assert (more > -1e-9).all()
-    # Among many slivers the centroids of eight other triangles may be nearer.
+    # The search considers eight centroids; near slivers, the nearest triangle may not be among these eight.
     assert more.max() < 0.02
     assert (more < 1e-6).mean() > 0.95
 
@@ -110,7 +110,7 @@ def test_a_shaft_cut_at_another_height_has_distance_zero_in_the_overlap():
     assert bone_registration.compared_heights_mm(short.mesh, "patella") == (-np.inf, np.inf)
 
 
-def test_a_mesh_is_trimmed_at_the_heights_and_must_reach_them():
+def test_a_mesh_is_trimmed_at_two_heights_within_its_extent():
     part = trim_to_heights(make_shaft(95.0), -5.0, 60.0)
     used = part.vertices[np.unique(part.faces)]
     assert_allclose((used[:, 2].min(), used[:, 2].max()), (-5.0, 60.0), atol=1e-9)
@@ -137,12 +137,12 @@ def test_the_mean_bone_has_the_mean_shape_and_size(other_faces):
 
 
 def test_the_mean_of_no_bones_raises_an_error():
-    with pytest.raises(pssf.InputError, match="bones for patella must be 1 or more, got 0"):
+    with pytest.raises(pssf.InputError, match="number of patella meshes must be 1 or more, got 0"):
         bone_comparison.compute_mean_bone([], "patella")
 
 
 def make_varied_pebbles(amplitude_mm, seed):
-    """Make pebbles of several sizes and positions with different bumps, whose mean is 0."""
+    """Make pebbles of several sizes and positions, with different bumps whose mean height is 0."""
     rng = np.random.default_rng(seed)
     sizes = amplitude_mm * np.array([-1.5, -0.5, 0.5, 1.5])
     return [
@@ -170,7 +170,7 @@ def test_spreads_of_patient_and_sampled_bones_use_the_same_measure(comparison):
     assert 0.03 < sampled["scale_sd"] < 0.3
 
 
-def test_a_bump_of_the_built_mean_is_located():
+def test_a_bump_on_the_mean_built_bone_is_located():
     given = [make_pebble()]
     found = bone_comparison.compare_bones({"patella": given}, {"patella": make_pebble(4.0)}, {"patella": given})
     assert len(found.rows) == 1
@@ -251,9 +251,9 @@ def test_bones_are_read_from_one_folder_of_meshes_per_bone(tmp_path, suffix):
     ("arrays", "why"),
     [
         ({"femur_mm": np.zeros((4, 3))}, r"femur_mm must be \(bones, vertices, 3\) floats, got \(4, 3\), float64"),
-        ({"femur_mm": np.full((1, 200, 3), np.nan)}, "femur_mm must be finite, got 600 values"),
-        ({"femur_faces": None}, "must have femur_faces, got none"),
-        ({"femur_faces": np.array([[0, 1, 999]])}, "femur_faces must be vertex numbers 0 to 161, got 0 to 999"),
+        ({"femur_mm": np.full((1, 200, 3), np.nan)}, "femur_mm must be finite, got 600 non-finite values"),
+        ({"femur_faces": None}, "must contain femur_mm and femur_faces, got only femur_mm"),
+        ({"femur_faces": np.array([[0, 1, 999]])}, "femur_faces must be vertex indices from 0 to 161, got 0 to 999"),
         ({"femur_faces": np.zeros((1, 3))}, r"femur_faces must be \(faces, 3\) integers, got \(1, 3\), float64"),
         ({"femur_mm": None}, "got no bones"),
     ],

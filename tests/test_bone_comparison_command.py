@@ -1,4 +1,4 @@
-"""Bone comparison on the command line: known displacements are recovered, invalid folders give an error."""
+"""Check the bone comparison command: it recovers known displacements and rejects invalid folders."""
 
 import json
 
@@ -12,12 +12,12 @@ from pssf.geometry.mesh import Mesh
 from pssf.model.knee import Knee
 from pssf.patient_comparison.bones import bone_comparison
 
-# Waves along the normals, which no similarity transform removes: amplitude of the mean and of two knees about it.
+# Surface waves, which no similarity transform removes: mean amplitude, deviation of each knee, wavelength; and scale.
 MEAN_MM, SPREAD_MM, WAVE_MM, SIZE = 0.4, 0.3, 12.0, 1.1
 
 
 def displace_mesh(mesh, heights_mm):
-    """Scale a mesh by SIZE and displace its vertices along their normals by a wave along x and one along y."""
+    """Scale a mesh by SIZE and displace its vertices along their normals by waves in the x and y directions."""
     shape = mesh.as_trimesh()
     vertices = SIZE * np.asarray(shape.vertices)
     waves = np.sin(2 * np.pi / WAVE_MM * vertices[:, :2])
@@ -60,12 +60,12 @@ def test_known_displacements_of_bones_are_recovered(patient_bones, tmp_path):
     assert [row["rms_mm"] for row in facts["bones"]["rows"]] == pytest.approx(table["rms_mm"].tolist())
     assert f"femur built mean to patient mean {table['rms_mm'].iloc[0]:.2f} mm" in done.stdout
     page = (tmp_path / "out" / "patient_comparison.html").read_text()
-    assert "Built mean bones coloured by distance" in page
+    assert "Bones of the default knee, coloured by distance" in page
     assert (tmp_path / "out" / "pictures" / "bones.png").stat().st_size > 10_000
     assert set(pd.read_csv(tmp_path / "out" / "bones_shape_measures.csv")["bone"]) == set(patient_bones)
 
 
-def test_a_missing_bone_is_left_out_of_the_comparison(patient_bones, tmp_path):
+def test_a_missing_bone_is_omitted_from_the_comparison(patient_bones, tmp_path):
     for index, mesh in enumerate(patient_bones["patella"]):
         (tmp_path / "given" / "patella").mkdir(parents=True, exist_ok=True)
         mesh.as_trimesh().export(tmp_path / "given" / "patella" / f"{index}.stl")
@@ -108,12 +108,12 @@ def make_empty_bone_folders(folder, patient_bones):
 @pytest.mark.parametrize(
     ("write", "line"),
     [
-        (make_empty_folder, "must have one .npz with femur_mm"),
-        (write_text_file, "must have one .npz with femur_mm"),
-        (write_other_arrays, "must have one .npz with femur_mm"),
+        (make_empty_folder, "must contain one .npz with femur_mm"),
+        (write_text_file, "must contain one .npz with femur_mm"),
+        (write_other_arrays, "must contain one .npz with femur_mm"),
         (write_invalid_archive, "no arrays"),
-        (write_archive_without_faces, "must have tibia_faces, got none"),
-        (make_empty_bone_folders, "tibia must have meshes, got none"),
+        (write_archive_without_faces, "must contain tibia_mm and tibia_faces, got only tibia_mm"),
+        (make_empty_bone_folders, "tibia contains no STL, PLY or OBJ files"),
     ],
 )
 def test_an_invalid_folder_of_bones_gives_a_one_line_error_and_no_files(write, line, patient_bones, tmp_path):

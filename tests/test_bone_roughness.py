@@ -1,4 +1,4 @@
-"""Surface roughness of bones: its zones, its amplitude and what it does not change."""
+"""Check the surface roughness of bones: zones, amplitude, smoothness and unchanged joint spaces."""
 
 from dataclasses import replace
 
@@ -41,7 +41,7 @@ def test_roughness_at_the_centre_of_a_zone_has_the_tabulated_sd(bone):
     moves = np.array(
         [compute_roughness_mm(middle, lone, Seeds(seed, 0), end)[0] @ zone.direction for seed in range(2000)]
     ) / np.dot(zone.direction, zone.direction)
-    # A normal distribution clipped at two SD has 0.96 of its SD; 2000 samples give it to 1.6 %.
+    # Clipping a normal distribution at two SD reduces its SD to 0.96; the standard error of 2000 samples is 1.6 %.
     assert moves.std() == pytest.approx(0.96 * zone.sd_mm, rel=0.06)
     assert abs(moves.mean()) < 4 * zone.sd_mm / np.sqrt(2000)
 
@@ -68,8 +68,8 @@ def test_form_roughness_depends_only_on_the_form_seed(bone):
     assert abs(compute_roughness_mm(at + 0.05, zones, Seeds(3, 3), end) - moves).max() < 0.05
 
 
-def test_another_seed_changes_bone_surfaces_but_not_the_joint_space():
-    # Joint spaces are solved anew for each seed; roughness affects only bone without cartilage.
+def test_a_new_texture_seed_changes_bone_surfaces_but_not_jsw():
+    # The pose is fitted to the specified JSW for each seed; roughness affects only bone without cartilage.
     knee = pssf.Knee(jsw_medial_mm=3.0, varus_deg=2.0)
     one, two, formed = (pssf.build(replace(knee, **seeds), AP) for seeds in ({}, {"texture_seed": 2}, {"form_seed": 2}))
     for built in (one, two, formed):

@@ -43,7 +43,7 @@ def test_an_extreme_shape_moves_bones_by_millimetres_and_can_be_mirrored(extreme
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_no_shape_mode_folds_a_bone_at_its_limit(side):
+def test_no_bone_folds_at_the_limits_of_a_shape_mode(side):
     shapes = build_shape_model(load_shape_model())
     for number in range(MODES):
         for lattice in build_lattices((0.0,) * number + (side * MAX_SHAPE_SD,), shapes).values():
@@ -58,7 +58,7 @@ def test_control_point_displacements_are_linear_in_the_scores():
     np.testing.assert_allclose(both - mean, (one - mean) + (two - mean), atol=1e-12)
 
 
-def test_a_shape_survives_conversion_and_trailing_zeros_are_dropped():
+def test_a_shape_survives_conversion_without_trailing_zeros():
     knee = pssf.Knee(shape=(0.5, -1.0, 0.0))
     assert knee.shape == (0.5, -1.0)
     assert knee_from_dict(knee_to_dict(knee)) == knee
@@ -89,7 +89,7 @@ def test_sampled_shape_scores_are_standard_normal_and_independent():
 
 
 def test_a_small_osteophyte_on_a_rounded_margin_stays_inside_its_bone():
-    """Check a knee whose osteophyte filling was once 0.005 mm3 outside the bone, which raised an error."""
+    """Check a knee whose osteophyte interior formerly protruded from the bone by 0.005 mm3, which raised an error."""
     built = pssf.build(pssf.sample_knee(grade=2, rng=np.random.default_rng(8), grade_table="paper"))
     femur = built.bones["femur"]
     assert (femur.inner - femur.outer).volume() < 1e-6

@@ -21,7 +21,7 @@ def test_calibration_recovers_the_simulated_slope_and_intercept(stretch, shift):
     logit = 1.5 * rng.normal(size=20_000)
     truth = (rng.random(20_000) < expit(logit)).astype(int)
     row = compute_calibration(make_predictions(truth, expit(stretch * logit + shift))).iloc[0]
-    # Standard errors of logistic regression on 20000 rows are below 0.025; the bound is four of them.
+    # The tolerance is four standard errors of logistic regression on 20000 rows, each below 0.025.
     assert row["slope"] == pytest.approx(1 / stretch, abs=0.1)
     assert row["intercept"] == pytest.approx(-shift / stretch, abs=0.1)
     if stretch == 1 and shift == 0:

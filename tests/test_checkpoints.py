@@ -23,7 +23,7 @@ ROWS = [{"bone": "femur", "bones": 2, "rms_mm": 0.1 + 0.2, "scale": ""}, {"bone"
 
 @pytest.fixture
 def landmark_calls(monkeypatch):
-    """Record the knees whose landmarks are computed, and interrupt the run after a maximum number."""
+    """Record the knees whose landmarks are computed, and interrupt the run after a maximum number of knees."""
     computed, original = [], landmark_comparison._compute_landmarks
     calls = {"computed": computed, "maximum": 100, "function": original}
 
@@ -48,7 +48,7 @@ def reference_landmarks_mm():
 
 @pytest.fixture
 def synthetic_landmarks(landmark_calls, reference_landmarks_mm):
-    """Replace the landmarks by those of the default knee plus noise, so that no knee is built."""
+    """Replace computed landmarks by those of the default knee plus noise, to avoid building knees."""
     landmark_calls["function"] = lambda acquisition, **more: (
         reference_landmarks_mm + np.random.default_rng(acquisition[0].texture_seed).normal(size=(16, 2))
     )
@@ -96,7 +96,7 @@ def test_contours_from_a_checkpoint_are_bit_identical(landmark_calls, tmp_path):
         np.testing.assert_array_equal(sample.grades, made.grades)
 
 
-def test_only_rows_with_other_code_or_inputs_are_computed_again(tmp_path):
+def test_checkpoint_rows_are_recomputed_if_code_or_inputs_change(tmp_path):
     made = []
 
     def make(missing, arrived):
@@ -115,7 +115,7 @@ def test_only_rows_with_other_code_or_inputs_are_computed_again(tmp_path):
 
 def test_a_damaged_checkpoint_is_named_in_the_error(tmp_path):
     (tmp_path / "rows.csv").write_bytes(b"key,x\na,b\n")
-    with pytest.raises(pssf.InputError, match=r"rows\.csv is damaged .*delete it and it is made again"):
+    with pytest.raises(pssf.InputError, match=r"rows\.csv is damaged .*delete the file, and pssf makes it again"):
         RowCheckpoint(path=tmp_path / "rows.csv", code={}).complete([b"one"], lambda missing, arrived: None)
 
 
@@ -123,7 +123,7 @@ def make_section(folder, key):
     return SectionCheckpoint(folder=folder, name="bones", tables=("bones", "bones_forms"), key=key)
 
 
-def test_a_section_is_computed_again_only_for_a_new_key_or_damaged_files(tmp_path):
+def test_a_section_is_recomputed_only_for_a_new_key_or_damaged_files(tmp_path):
     made = []
 
     def make():
@@ -158,7 +158,7 @@ def test_the_checkpoint_key_depends_on_code_inputs_and_bones():
     assert compute_key({"a": "1"}, hash_bones({"femur": [mesh]})) == keys[0]
 
 
-def test_bones_are_compared_again_only_for_another_seed(synthetic_landmarks, tmp_path, monkeypatch):
+def test_bones_are_compared_again_only_if_the_seed_changes(synthetic_landmarks, tmp_path, monkeypatch):
     mesh = bone_comparison.build_bones(pssf.Knee(), load_anatomy_tables())["patella"]
     for number in range(2):
         (tmp_path / "given" / "patella").mkdir(parents=True, exist_ok=True)

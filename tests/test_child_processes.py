@@ -1,4 +1,4 @@
-"""Check child processes: they run no file of the working folder, and any program can start them."""
+"""Check child processes: they run no files of the working folder and can be started by any program."""
 
 import multiprocessing
 import os
@@ -12,7 +12,7 @@ from pssf.core.processes.child_processes import build_python_command, start_with
 from pssf.core.processes.parallel_map import count_cores, map_in_parallel
 
 TINY = 'base = "reference"\nname = "tiny"\nrows = 64\ncols = 64\npixel_mm = 4.8\nscatter = "none"\ntexture = "none"\n'
-# Modules of the standard library that a starting worker imports.
+# Standard library modules that a worker imports when it starts.
 SHADOWS = ("signal", "struct", "random", "selectors", "pickle", "socket", "tempfile", "logging")
 MAPPED = """
 from pssf.core.processes.parallel_map import map_in_parallel
@@ -33,7 +33,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def run_successfully(*command, **options):
-    """Run a command, require success and return its standard output."""
+    """Run a command, require exit code 0 and return the standard output."""
     done = subprocess.run(command, capture_output=True, text=True, check=False, **options)
     assert done.returncode == 0, done.stderr
     assert "my own" not in done.stderr
@@ -42,7 +42,7 @@ def run_successfully(*command, **options):
 
 @pytest.mark.parametrize("how", ["module", "installed"])
 def test_cohort_workers_do_not_run_files_of_the_working_folder(folder, how):
-    # The installed command has its own folder first in the search path.
+    # Like the installed command, this call does not add the working folder to the search path (option -P).
     installed = ["-P", "-c", "from pssf.__main__ import main; main()"]
     start = [sys.executable, *(["-m", "pssf"] if how == "module" else installed)]
     made = run_successfully(
@@ -93,7 +93,7 @@ def test_starting_a_process_restores_environment_and_main_module(monkeypatch):
 
 
 def map_in_daemon(answers):
-    """Put the number of cores, a result and an error message of a daemonic process into a queue."""
+    """Put the number of cores, a result and an error message from a daemonic process into a queue."""
     try:
         map_in_parallel(abs, [-1, -2], shared={}, workers=2)
     except pssf.InputError as error:

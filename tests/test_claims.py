@@ -1,4 +1,4 @@
-"""Check how the study decides the claims of the paper."""
+"""Check the verdicts of the study on the claims of the paper."""
 
 import numpy as np
 import pandas as pd
@@ -24,7 +24,7 @@ GLCM_AND_GLSZM = ["glcm_Contrast", "glcm_Id", "glszm_a", "glszm_b"]
 
 
 def make_radiograph_table(rise, seed=3, subjects=90):
-    """Return subjects with one knee each and features that rise by `rise` standard deviations per grade."""
+    """Return a table of subjects with one knee each; features increase by `rise` standard deviations per grade."""
     rng = np.random.default_rng(seed)
     grade = np.repeat([0, 1, 2], subjects // 3)
     names = ("firstorder_linear_Mean", "firstorder_linear_Energy", "glcm_Contrast", "glcm_JointEntropy")
@@ -80,7 +80,7 @@ def evaluate_synthetic_claims(
 
 
 def select_verdicts(found, start):
-    """Return the verdicts of the claims that begin with `start`."""
+    """Return the verdicts on the claims whose text begins with `start`."""
     return set(found[found["claim"].str.startswith(start)]["verdict"])
 
 
@@ -157,24 +157,24 @@ def test_feature_stability_is_decided_by_the_most_stable_feature(icc, expected):
     assert icc[0] - 0.02 < row["low"] <= icc[0]
 
 
-def test_a_difference_not_significant_after_holm_decides_nothing():
+def test_a_claim_is_undecided_without_significance_after_holm():
     assert select_verdicts(evaluate_synthetic_claims(rise=1.0, p_holm=0.06), "Testing on another protocol") == {
         "not decidable"
     }
 
 
-def test_importance_is_compared_with_the_fraction_of_offered_features():
+def test_importance_is_compared_with_the_fraction_of_available_features():
     found = evaluate_synthetic_claims(rise=1.0, texture=(0.45, 0.40))
     row = found[found["claim"].str.startswith("GLCM and GLSZM")].iloc[0]
     assert (row["bound"], row["verdict"]) == (0.5, "does not hold")
-    # If three of four features belong to these families, they have 0.75 of the importance by chance.
+    # Three of four features belong to the two families, so the importance expected by chance is 0.75.
     for texture, expected in (((0.8, 0.9), "holds"), ((0.7, 0.6), "does not hold"), ((0.8, 0.7), UNDECIDED)):
         found = evaluate_synthetic_claims(rise=1.0, texture=texture, other_families=1)
         row = found[found["claim"].str.startswith("GLCM and GLSZM")].iloc[0]
         assert (row["bound"], row["verdict"]) == (0.75, expected)
 
 
-def test_random_predictions_avoid_no_confusion_of_extreme_grades():
+def test_random_predictions_do_not_avoid_confusing_extreme_grades():
     counts = np.outer([30, 20, 50], [10, 60, 30])
     assert _compute_avoided_confusion(counts) == pytest.approx(0)
     assert _compute_avoided_confusion(np.diag([30, 20, 50])) == pytest.approx(2 * 30 * 50 / 100**2)
@@ -183,7 +183,7 @@ def test_random_predictions_avoid_no_confusion_of_extreme_grades():
 def test_verdicts_match_a_strong_synthetic_signal():
     found = evaluate_synthetic_claims(rise=1.0, score_step=1.0)
     assert select_verdicts(found, "GLCM contrast") == {"holds"}
-    # The mean is of the linear signal, which falls as the displayed brightness rises.
+    # The feature is the mean of the linear signal, which decreases as the displayed brightness increases.
     assert select_verdicts(found, "First-order mean") == {"does not hold"}
     assert select_verdicts(found, "Predicted grades of grade 1") == {"holds"}
     assert select_verdicts(found, "The extreme grades") == {"holds"}
@@ -193,8 +193,8 @@ def test_verdicts_match_a_strong_synthetic_signal():
         "verdict"
     ]
     assert performance.to_dict() == {
-        "AUC, 0 vs 2, Logistic regression, L1 (paper: 0.92)": "holds",
-        "Balanced accuracy, 0 vs 2, Logistic regression, L1 (paper: 0.92)": "does not hold",
+        "AUC, 0 vs 2, Logistic regression, L1 (published: 0.92)": "holds",
+        "Balanced accuracy, 0 vs 2, Logistic regression, L1 (published: 0.92)": "does not hold",
     }
     assert len(found[found["claim"].str.startswith("Testing on another protocol")]) == 2
     assert select_verdicts(found, "Testing on another protocol") == {"holds"}
@@ -214,14 +214,14 @@ def test_trends_are_undecided_when_grades_do_not_differ():
     found = evaluate_synthetic_claims(rise=0.0)
     trends = found[found["measure"].str.startswith("Spearman")]
     assert len(trends) == 4
-    # One of four 95 % intervals may miss.
+    # One of the four 95 % intervals may exclude zero by chance.
     assert (trends["verdict"] == "not decidable").sum() >= 3
     assert select_verdicts(found, "Predicted grades of grade 1") == {"not decidable"}
 
 
 def test_the_interval_width_of_a_trend_matches_fishers_z():
     found = evaluate_synthetic_claims(rise=1.0).set_index("claim").loc["GLCM contrast rises with grade"]
-    # Fisher's z: standard error 1.03 / sqrt(n - 3), here n = 90.
+    # The standard error of Fisher's z is 1.03 / sqrt(n - 3) with n = 90 subjects.
     z = np.arctanh([found["low"], found["high"]])
     assert np.ptp(z) == pytest.approx(2 * 1.96 * 1.03 / np.sqrt(87), rel=0.35)
 

@@ -1,4 +1,4 @@
-"""Classifiers, tuned on the validation subjects."""
+"""Check classifiers that are tuned on the validation subjects."""
 
 import numpy as np
 import pandas as pd
@@ -21,14 +21,14 @@ def test_constant_features_give_a_probability_of_one_half(selection):
 
 
 @pytest.mark.parametrize("model", ["lr", "rf", "xgb"])
-def test_importances_sum_to_one_and_the_informative_feature_leads(model):
+def test_importances_sum_to_one_and_favour_the_informative_feature(model):
     table = make_features(20, noise=0.2)
     X, y = table[NAMES], table["grade"].to_numpy()
     fitted = tune_classifier(
         build_feature_pipeline("l1", rho=0.9, max_features=5, seed=0).fit(X, y), model, (X, y), (X, y), seed=0
     )
     assert sum(fitted.importance.values()) == pytest.approx(1)
-    # The first by name of two equivalent features is kept.
+    # Of the equivalent features `copy` and `signal`, the selection retains the first by name.
     assert max(fitted.importance, key=fitted.importance.get) == "copy"
 
 

@@ -82,7 +82,7 @@ def test_meshes_writes_only_the_requested_formats(tmp_path):
         ),
         (
             ("simulate", "--protocol", "bilateral", "--knee", "my.toml"),
-            "pssf: knee my.toml must be used with a protocol of one knee, got bilateral, which images both knees",
+            "pssf: knee my.toml must be used with a protocol for one knee, got bilateral, which images both knees",
         ),
         (("meshes", "--formats", "obj3"), "pssf: format must be one of stl, ply, glb"),
         (
@@ -100,17 +100,17 @@ def test_meshes_writes_only_the_requested_formats(tmp_path):
         ),
         (
             ("study", "--films", "nowhere"),
-            "pssf: folder nowhere contains no radiographs: it must contain subfolders named 0 to 4 ",
+            "pssf: folder nowhere contains no radiographs: the folder must contain subfolders named 0 to 4 ",
         ),
         (
             ("compare-patients", "--films", "a", "--knees", "20", "--films=b"),
-            "pssf: --films must be given once, got it 2 times",
+            "pssf: --films must be used only once, got it 2 times",
         ),
         (("study", "--until", "end"), "pssf: until must be one of features, report, got 'end'"),
         (("study", "--config", "mine.toml"), "pssf: file mine.toml must be a readable TOML file, "),
     ],
 )
-def test_invalid_input_gives_one_line_exit_code_2_and_no_files(arguments, line, tmp_path):
+def test_invalid_input_exits_with_code_2_and_writes_no_files(arguments, line, tmp_path):
     done = run(*arguments, "--out", tmp_path / "o")
     assert done.returncode == 2
     assert done.stderr.startswith(line)
@@ -122,11 +122,11 @@ def test_a_detector_too_close_to_the_leg_gives_a_one_line_error(tmp_path):
     done = run("simulate", "--protocol", "ap_standing", "--set", "sod_mm=1010", "--out", tmp_path)
     assert done.returncode == 2
     assert re.match(r"pssf: sod_mm must be at most 9\d\d mm with sdd_mm = 1016 mm, got 1010 mm: ", done.stderr)
-    assert re.search(r"the leg reaches .* mm behind the detector\n$", done.stderr)
+    assert re.search(r"the leg extends .* mm behind the detector\n$", done.stderr)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_command_line_process_exits_with_code_2_and_one_line(tmp_path):
+def test_a_command_line_error_exits_with_code_2_and_prints_one_line(tmp_path):
     done = run_in_process("simulate", "--grade", 5, "--out", tmp_path)
     assert (done.returncode, done.stderr) == (2, f"pssf: {NO_GRADE_5}\n")
 
@@ -151,7 +151,7 @@ def test_the_error_for_an_invalid_knee_file_names_the_field(text, word, tmp_path
 
 
 @pytest.mark.parametrize("command", ["simulate", "meshes", "cohort", "study", "validate", "quality"])
-def test_an_unwritable_folder_gives_a_one_line_error_before_any_work(command, tmp_path):
+def test_an_unwritable_folder_gives_a_one_line_error_before_computation(command, tmp_path):
     (tmp_path / "file").write_text("not a folder")
     done = run(command, "--out", tmp_path / "file")
     assert done.returncode == 2
@@ -159,12 +159,12 @@ def test_an_unwritable_folder_gives_a_one_line_error_before_any_work(command, tm
     assert "use a writable folder" in done.stderr
 
 
-# Both commands run longer than the delays on any machine; a finishing Python process restores default signal handlers.
+# Each command runs longer than the longest delay, because a Python process that ends restores default handlers.
 @pytest.mark.parametrize("command", [("simulate", "--set", "scatter=monte_carlo"), ("cohort", "--workers", 2)])
 @pytest.mark.parametrize("seconds", [0.5, 5])
 def test_an_interrupt_ends_a_command_in_one_line_without_partial_files(command, seconds, tmp_path):
     script = [sys.executable, "-m", "pssf", *map(str, command), "--out", str(tmp_path / "o")]
-    # The process group is interrupted as a terminal does it, including the workers.
+    # Ctrl+C in a terminal interrupts the entire process group, including the workers.
     ran = subprocess.Popen(script, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
     time.sleep(seconds)
     os.killpg(ran.pid, signal.SIGINT)
@@ -215,7 +215,7 @@ def test_sampled_acquisition_follows_the_seed_and_keeps_set_fields(protocol_file
 
 
 def write_scene(folder: Path, ball: trimesh.Trimesh, outside: str, name: str) -> Path:
-    """Write a scene file of a muscle leg and a bone ball."""
+    """Write a scene file with a leg of muscle and a ball of bone."""
     trimesh.creation.box((60, 60, 60)).export(folder / "leg.stl")
     ball.export(folder / "ball.stl")
     scene = folder / "phantom.toml"
@@ -235,7 +235,7 @@ def test_user_meshes_are_simulated_from_a_scene_file(tmp_path):
     for arguments, why in (
         (("--knee", "a.toml"), "must not be combined with a knee, got a.toml"),
         (("--set", "side=left"), "must not be combined with a knee, got side"),
-        (("--masks",), "masks must be of one knee or both knees"),
+        (("--masks",), "masks must belong to one knee or both knees"),
         (("--grade", 3), "grade must not be combined with scene "),
         (("--grade-table", "paper"), "grade_table must not be combined with scene "),
     ):
@@ -249,7 +249,7 @@ def test_warnings_about_user_meshes_are_printed(tmp_path):
     scene = write_scene(tmp_path, far, "air", "far")
     done = run("simulate", "--scene", scene, *SMALL_OPTIONS, "--formats", "json", "--out", tmp_path / "o")
     assert done.returncode == 0, done.stderr
-    assert done.stderr.splitlines() == ["pssf: warning: far: covers no pixel; it is not in the image"]
+    assert done.stderr.splitlines() == ["pssf: warning: far: covers no pixel; surface is not in the image"]
     rejected = run("simulate", "--scene", scene, *SMALL_OPTIONS, "--border", "marked", "--out", tmp_path / "p")
     assert (rejected.returncode, rejected.stderr) == (2, "pssf: border must be none for a scene, got 'marked'\n")
     assert not (tmp_path / "p").exists()
@@ -265,7 +265,8 @@ def test_a_radiograph_with_other_parameters_is_not_overwritten(tmp_path):
         assert (
             f"knee_grade0_reference_seed0.tif must contain the same radiograph, got another {name}: " in rejected.stderr
         )
-    assert run(*command, "--set", "mas=2").returncode == 0  # the same radiograph may be written again
+    # Writing the same radiograph again is allowed.
+    assert run(*command, "--set", "mas=2").returncode == 0
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     (tmp_path / "knee_grade0_reference_seed0.tif").write_bytes(b"my own")
     rejected = run(*command, "--set", "mas=2")
@@ -287,7 +288,7 @@ def test_a_package_warning_is_printed_in_one_line(tmp_path):
     assert done.stderr.count("\n") == 1
 
 
-def test_a_cohort_with_own_grades_and_protocols_has_masks(protocol_file, tmp_path):
+def test_a_cohort_with_custom_grades_and_protocols_has_masks(protocol_file, tmp_path):
     done = run(
         *("cohort", "--knees", "0,0,1,1", "--grade-table", "population", "--protocols", protocol_file, "--masks"),
         *("--workers", 1, "--out", tmp_path / "c"),
@@ -327,7 +328,7 @@ def test_a_cohort_with_own_grades_and_protocols_has_masks(protocol_file, tmp_pat
         ),
         (("simulate", "--scene", "no.toml"), "pssf: file no.toml must be a readable TOML file, got: No such file"),
         (("meshes", "--set", "mas=2"), "pssf: set must name fields of a knee, got mas"),
-        (("cohort", "--knees", "1,x"), "pssf: knees must be whole numbers separated by commas, "),
+        (("cohort", "--knees", "1,x"), "pssf: knees must be integers separated by commas, "),
         (
             ("cohort", "--knees", "1,1,1", "--bilateral", "5"),
             "pssf: bilateral must be a whole number from 0 to 1 subjects, got 5 subjects",
@@ -338,7 +339,7 @@ def test_a_cohort_with_own_grades_and_protocols_has_masks(protocol_file, tmp_pat
             ("simulate", "--protocol", "bilateral", "--border", "marked"),
             "pssf: border must be none for both knees, got 'marked'",
         ),
-        (("study", "--knees", "1,x"), "pssf: knees must be whole numbers separated by commas, "),
+        (("study", "--knees", "1,x"), "pssf: knees must be integers separated by commas, "),
     ],
 )
 def test_an_invalid_change_gives_a_one_line_error(arguments, line, tmp_path):
@@ -348,7 +349,7 @@ def test_an_invalid_change_gives_a_one_line_error(arguments, line, tmp_path):
     assert not list(tmp_path.rglob("*"))
 
 
-def test_the_error_for_a_field_used_as_option_explains_set(tmp_path):
+def test_the_error_for_a_field_used_as_an_option_recommends_set(tmp_path):
     done = run("simulate", "--jsw-medial-mm", "2", "--out", tmp_path / "o")
     assert "To change a field of a knee, use --set jsw_medial_mm=VALUE" in done.stderr
 
@@ -385,7 +386,7 @@ def test_too_little_memory_gives_a_one_line_error(monkeypatch, capsys):
     assert message.count("\n") == 1
 
 
-def test_matrix_keeps_the_field_of_view(tmp_path):
+def test_the_option_matrix_preserves_the_field_of_view(tmp_path):
     given = ("simulate", "--engine", "scanline", "--out", tmp_path, "--set", "noise=none")
     done = run(*given, "--matrix", 64)
     assert done.returncode == 0, done.stderr
@@ -398,7 +399,7 @@ def test_setting_only_rows_and_cols_warns_of_a_changed_field(tmp_path):
     done = run("simulate", "--engine", "scanline", "--out", tmp_path, "--set", "rows=64", "--set", "cols=64")
     assert done.returncode == 0, done.stderr
     (warning,) = (line for line in done.stderr.splitlines() if "--matrix" in line)
-    assert warning.startswith("pssf: warning: rows and cols without pixel_mm change the field")
+    assert warning.startswith("pssf: warning: setting rows and cols without pixel_mm changes the field")
 
 
 def test_a_cohort_applies_matrix_and_settings(tmp_path):

@@ -1,4 +1,4 @@
-"""Check work on a Dask cluster: same results, lost workers and invalid schedulers."""
+"""Check computation on a Dask cluster: identical results, lost workers and invalid schedulers."""
 
 import os
 import signal
@@ -104,7 +104,7 @@ def test_require_scheduler_waits_for_restarting_workers(disposable_cluster):
 
 
 @pytest.mark.parametrize("error", [OSError("Timed out trying to connect after 30 s"), ConnectionResetError("closed")])
-def test_a_query_is_repeated_when_a_worker_dies_during_it(error):
+def test_a_scheduler_query_is_repeated_if_a_worker_dies_during_it(error):
     pytest.importorskip("distributed")
     from pssf.core.processes import cluster as module
 
@@ -124,7 +124,7 @@ def raise_input_error(item):
     raise pssf.InputError(f"item must be absent, got {item}")
 
 
-def test_an_input_error_of_a_worker_arrives_unchanged(cluster):
+def test_an_input_error_in_a_worker_is_raised_unchanged(cluster):
     with pytest.raises(pssf.InputError, match=r"^item must be absent, got 0$"):
         map_in_parallel(raise_input_error, [0], shared={}, scheduler=cluster.scheduler_address)
 
@@ -163,7 +163,7 @@ def test_an_unreachable_scheduler_gives_a_one_line_error_and_no_files(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_features_measured_on_a_cluster_equal_local_ones(cluster):
+def test_features_measured_on_a_cluster_equal_those_measured_locally(cluster):
     arguments = {
         "load_pixels": load_phantom,
         "templates": [TEMPLATE],
@@ -177,7 +177,7 @@ def test_features_measured_on_a_cluster_equal_local_ones(cluster):
     assert on_cluster == local
 
 
-def test_models_trained_on_a_cluster_equal_local_ones(cluster):
+def test_models_trained_on_a_cluster_equal_those_trained_locally(cluster):
     on_cluster = train_all_splits(make_feature_table(6), NAMES, LIGHT, Execution(scheduler=cluster.scheduler_address))
     local = train_all_splits(make_feature_table(6), NAMES, LIGHT, Execution())
     for one, other in zip(on_cluster, local, strict=True):

@@ -28,7 +28,7 @@ def test_a_copy_of_the_package_has_the_same_hash(copied_code):
 @pytest.mark.parametrize(
     "name", ["data/detector.toml", "detector/panel_readout.py", "study/report/templates/report.html.j2"]
 )
-def test_a_changed_byte_changes_only_the_hash_of_its_part(copied_code, name):
+def test_a_changed_byte_changes_only_the_hash_of_its_folder(copied_code, name):
     parts = ("data", "detector", "study", ".")
     before = code_hash.compute_code_hashes(parts)
     append_byte(copied_code / name)
@@ -51,12 +51,12 @@ def test_bytecode_and_editor_backups_do_not_change_the_hash(copied_code):
     assert code_hash.compute_code_hashes() == before
 
 
-def test_a_missing_part_is_rejected():
+def test_an_unknown_folder_of_the_package_is_rejected():
     with pytest.raises(pssf.InputError, match=r"part must be a module or folder below .*, got rays\.py"):
         code_hash.compute_code_hashes(("rays.py",))
 
 
-def test_a_machine_with_other_code_raises_an_error():
+def test_a_computer_with_different_code_raises_an_error():
     hashes = code_hash.compute_code_hashes(("core", "data"))
     code_hash.require_same_code(hashes)
     with pytest.raises(pssf.InputError, match=r"code of pssf on .* must be .*, got other code \(data\)"):
@@ -65,7 +65,7 @@ def test_a_machine_with_other_code_raises_an_error():
 
 def test_every_file_type_of_the_package_is_hashed():
     kinds = {path.suffix for path in ROOT.rglob("*") if path.is_file() and "__pycache__" not in path.parts}
-    # Text files and the py.typed marker change no result.
+    # Markdown files and the py.typed marker do not affect results.
     assert kinds - {".md", ".typed"} == set(code_hash.HASHED_SUFFIXES)
 
 
@@ -106,7 +106,7 @@ def test_every_module_imported_for_a_result_is_hashed(start, parts):
     assert "data/knees/preset_table.py" not in missing or start == ("cohort", "cohort_maker")
 
 
-def test_every_data_file_is_hashed_unless_listed_with_a_reason():
+def test_every_data_file_is_hashed_or_listed_with_a_reason():
     files = {
         path.relative_to(ROOT).as_posix()
         for path in (ROOT / "data").rglob("*")
@@ -119,7 +119,7 @@ def test_every_data_file_is_hashed_unless_listed_with_a_reason():
     assert {path for path in files if not any(Path(path).is_relative_to(part) for part in parts)} == named
 
 
-def test_tables_without_effect_on_pixels_are_read_only_by_their_readers():
+def test_tables_that_do_not_affect_pixels_have_only_one_reader():
     made_by = find_imported_modules(("cohort", "cohort_maker")) - {"data/knees/preset_table.py"}
     called = [
         (path.relative_to(ROOT).as_posix(), ast.unparse(node.func), [ast.unparse(one) for one in node.args])
@@ -153,7 +153,7 @@ print("\\n".join(path.name for path in opened if path.suffix == ".toml" and path
 
 
 def test_only_the_cohort_plan_reads_presets():
-    # `CohortPreset` declares fields only; the values come from `load_presets` or from the module as a whole.
+    # `CohortPreset` only declares fields, so importing it alone does not count as reading presets.
     readers = [
         path.relative_to(ROOT).as_posix()
         for path in ROOT.rglob("*.py")
@@ -176,12 +176,12 @@ def test_a_plan_records_every_preset_field_that_affects_radiographs():
     request = cohort.plan_cohort("quick", seed=1, overrides=one).build_request()
     for name, value in others.items():
         assert cohort.plan_cohort("quick", seed=1, overrides={**one, name: value}).build_request() != request, name
-    # These fields affect only the splits and the retest plan, not the cohort's own radiographs.
+    # These fields affect only splits and retests, not the radiographs of the cohort.
     for name in ("repeats", "retested"):
         assert cohort.plan_cohort("quick", seed=1, overrides={**one, name: 2}).build_request() == request
 
 
-def test_making_a_cohort_reads_no_table_listed_as_irrelevant(small_protocols, tmp_path):
+def test_making_a_cohort_reads_no_table_without_effect_on_pixels(small_protocols, tmp_path):
     unread = [str(ROOT / "data" / name) for name, _ in code_hash.TABLES_NOT_AFFECTING_PIXELS if name != "presets.toml"]
     command = [sys.executable, "-c", _WATCH_SCRIPT, small_protocols[0], str(tmp_path / "c"), *unread]
     opened = set(subprocess.run(command, capture_output=True, text=True, check=True).stdout.split())

@@ -34,7 +34,7 @@ def protocols(small_protocols):
 
 @pytest.fixture
 def made(whole_cohort, tmp_path):
-    """Copy the cohort of `plan_tiny_cohort`."""
+    """Copy the finished cohort of `plan_tiny_cohort` and return its folder."""
     return shutil.copytree(whole_cohort, tmp_path / "c")
 
 
@@ -91,7 +91,7 @@ def test_both_knees_of_a_subject_are_correlated_only_through_the_grade():
     for name in ("jsw_medial_mm", "jsw_lateral_mm", "varus_deg"):
         pairs = np.array([[getattr(case.knee, name) for case in side] for side in (one, two)]).reshape(2, 3, 400)
         within = pairs - pairs.mean(axis=2, keepdims=True)
-        # For 1200 uncorrelated pairs the sample correlation has a standard deviation of 0.03.
+        # The tolerance is four standard deviations (0.03 each) of the correlation of 1200 uncorrelated pairs.
         assert abs(np.corrcoef(within[0].ravel(), within[1].ravel())[0, 1]) < 0.12
         if name == "jsw_medial_mm":
             assert np.corrcoef(pairs[0].ravel(), pairs[1].ravel())[0, 1] > 0.5
@@ -133,7 +133,7 @@ def test_a_radiograph_is_reproduced_from_its_manifest_row(whole_cohort):
     assert (again.pixels == original.pixels).all()
 
 
-def test_only_a_deleted_image_of_a_finished_cohort_is_made_again(protocols, made):
+def test_only_a_deleted_image_of_a_finished_cohort_is_created_again(protocols, made):
     plan, folder = plan_tiny_cohort(protocols), made
     before = compute_digests(folder)
     deleted = next((folder / "images").iterdir())
@@ -162,36 +162,34 @@ def test_a_damaged_record_is_named_in_the_error(protocols, made, content):
         cohort.make_cohort(plan, folder, workers=1)
 
 
-def test_a_changed_record_or_that_of_another_knee_is_rejected(protocols, made):
+def test_a_changed_record_or_a_record_of_another_knee_is_rejected(protocols, made):
     plan, folder = plan_tiny_cohort(protocols), made
     one, two, _ = sorted((folder / "records").iterdir())
     whole = one.read_text()
     for content in (whole.replace('"jsw_medial_mm": ', '"jsw_medial_mm": 1'), two.read_text()):
         one.write_text(content)
-        with pytest.raises(pssf.InputError, match=rf"{one.name} (is damaged|must have the radiographs of knee 0)"):
+        with pytest.raises(pssf.InputError, match=rf"{one.name} (is damaged|does not list the radiographs of knee 0)"):
             cohort.make_cohort(plan, folder, workers=1)
 
 
 def test_a_folder_with_another_seed_is_rejected(protocols, made):
     other = cohort.plan_cohort("quick", seed=6, overrides={"knees": [1, 1, 1], "protocols": protocols})
-    with pytest.raises(pssf.InputError, match="must be new or have the requested cohort, got seed = 5, requested 6"):
+    with pytest.raises(pssf.InputError, match=r"contains a different cohort \(seed = 5, requested 6\)"):
         cohort.make_cohort(other, made, workers=1)
 
 
 @pytest.mark.parametrize("name", ["data/detector.toml", "raycast/engines/scanline.py"])
-def test_a_cohort_made_by_other_code_is_rejected_with_the_changed_part(protocols, tmp_path, copied_code, name):
+def test_the_error_for_a_cohort_of_other_code_names_the_changed_code(protocols, tmp_path, copied_code, name):
     cohort.make_cohort(plan_tiny_cohort(protocols, knees=(0, 0, 1)), tmp_path / "c", workers=1)
     before = compute_digests(tmp_path / "c")
     append_byte(copied_code / name)
     part = name if name.startswith("data") else name.split("/")[0]
-    with pytest.raises(
-        pssf.InputError, match=rf"must have a cohort made by this code, got a cohort made by other code \({part}\): "
-    ):
+    with pytest.raises(pssf.InputError, match=rf"a different version of the code, with differences in {part}; "):
         cohort.make_cohort(plan_tiny_cohort(protocols, knees=(0, 0, 1)), tmp_path / "c", workers=1)
     assert compute_digests(tmp_path / "c") == before
 
 
-def test_a_changed_table_without_effect_on_pixels_keeps_the_cohort_valid(protocols, tmp_path, copied_code):
+def test_changing_a_table_without_effect_on_pixels_keeps_a_cohort_valid(protocols, tmp_path, copied_code):
     plan = plan_tiny_cohort(protocols, knees=(0, 0, 1))
     cohort.make_cohort(plan, tmp_path / "c", workers=1)
     before = compute_digests(tmp_path / "c")
@@ -201,13 +199,13 @@ def test_a_changed_table_without_effect_on_pixels_keeps_the_cohort_valid(protoco
     cohort.make_cohort(plan, tmp_path / "c", workers=1)
     assert compute_digests(tmp_path / "c") == before
     (copied_code / "data" / "new.toml").write_text("")
-    with pytest.raises(pssf.InputError, match=r"made by other code \(data/new\.toml\)"):
+    with pytest.raises(pssf.InputError, match=r"version of the code, with differences in data/new\.toml;"):
         cohort.make_cohort(plan, tmp_path / "c", workers=1)
 
 
-def test_a_cohort_record_without_code_hashes_counts_as_other_code(tmp_path):
+def test_a_cohort_record_without_code_hashes_is_treated_as_other_code(tmp_path):
     cohort_records.claim_folder(tmp_path / "cohort.json", {"seed": 1})
-    with pytest.raises(pssf.InputError, match=r"made by other code \(core, data\)"):
+    with pytest.raises(pssf.InputError, match=r"version of the code, with differences in core, data;"):
         cohort_records.claim_folder(tmp_path / "cohort.json", {"seed": 1, "code": {"core": "a", "data": "b"}})
 
 
@@ -248,7 +246,7 @@ def test_repositioned_knees_differ_in_opposite_directions_and_only_in_pose():
             assert back == knee
 
 
-def test_the_manifest_of_a_retest_cohort_names_kind_and_turn(tmp_path):
+def test_the_retest_manifest_lists_the_kind_and_number_of_each_repeat(tmp_path):
     small = tmp_path / "small.toml"
     small.write_text('base = "reference"\nname = "reference"\nrows = 64\ncols = 64\npixel_mm = 4.8\ntexture = "none"\n')
     plan = plan_tiny_cohort([str(small)], retested=2)
@@ -262,7 +260,7 @@ def test_the_manifest_of_a_retest_cohort_names_kind_and_turn(tmp_path):
     assert beams == {-1.0, 0.0, 1.0}
 
 
-def test_no_retested_knees_give_no_plan_and_unknown_protocols_an_error(protocols):
+def test_a_retest_needs_retested_knees_and_a_known_protocol(protocols):
     assert cohort.plan_retest(plan_tiny_cohort(protocols, retested=0)) is None
     with pytest.raises(pssf.InputError, match=r"protocol must be one of reference, low_dose, .*got 'x'"):
         cohort.plan_retest(plan_tiny_cohort(protocols), reference="x")
@@ -334,7 +332,7 @@ def test_runs_killed_at_50_random_times_leave_no_partial_files(protocols, tmp_pa
 
 def test_a_full_disk_leaves_no_partial_files_and_the_run_resumes(protocols, whole_cohort, tmp_path, monkeypatch):
     plan, folder, sync = plan_tiny_cohort(protocols), tmp_path / "c", os.fsync
-    # A run writes cohort.json, two images and a record per knee, and the manifest; it repeats unfinished knees.
+    # A run writes cohort.json, two images and one record per knee, and the manifest; unfinished knees are repeated.
     for writes, files in ((0, 0), (2, 2), (3, 4), (2, 6), (6, 10)):
         remaining = iter(range(writes))
 
@@ -386,7 +384,7 @@ def test_a_full_disk_gives_a_one_line_error_and_the_command_can_resume(protocols
     assert done.returncode == 2
     # Progress lines are not counted.
     assert sum(not line.startswith("radiographs: ") for line in done.stderr.splitlines()) == 1
-    # numpy, which writes the pixels, reports the number of written items instead of the reason.
+    # If the disk is full, numpy reports the number of written items instead of the cause.
     reason = r"(No space left on device|not enough free space \(\d+ requested and \d+ written\))"
     assert re.search(rf"\.\w+ must be writable, got {reason}: use a writable folder with free space\n$", done.stderr)
     assert not list(folder.rglob(".*"))
@@ -412,7 +410,7 @@ def test_progress_distinguishes_existing_from_new_radiographs(protocols, tmp_pat
     assert counted == [("made", 2)] * 3 + [("kept", 2)] * 2 + [("made", 2)]
 
 
-def test_a_worker_with_another_folder_libraries_or_code_raises_an_error(protocols, tmp_path):
+def test_a_worker_with_another_folder_library_or_code_raises_an_error(protocols, tmp_path):
     plan, folder = plan_tiny_cohort(protocols), tmp_path / "c"
     claim = cohort_records.claim_folder(folder / "cohort.json", plan.build_request())
     environment = {
@@ -424,7 +422,7 @@ def test_a_worker_with_another_folder_libraries_or_code_raises_an_error(protocol
     site = cohort_maker.RunEnvironment(
         **{**environment, "versions": {**cohort_maker.collect_versions(), "numpy": "1.0"}}
     )
-    with pytest.raises(pssf.InputError, match=r"on .*: numpy must be 1\.0, as where the run started, got .*"):
+    with pytest.raises(pssf.InputError, match=r"numpy on .* must be 1\.0, the version on the machine .*, got .*"):
         cohort_maker.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
     site = cohort_maker.RunEnvironment(
         **{**environment, "code_hashes": {**environment["code_hashes"], "detector": "0"}}
@@ -432,9 +430,7 @@ def test_a_worker_with_another_folder_libraries_or_code_raises_an_error(protocol
     with pytest.raises(pssf.InputError, match=r"code of pssf on .* must be .*, got other code \(detector\)"):
         cohort_maker.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
     (folder / "cohort.json").write_text("{}")
-    with pytest.raises(
-        pssf.InputError, match=r"on .*: folder .* must have the cohort of this run, got another cohort: all workers"
-    ):
+    with pytest.raises(pssf.InputError, match=r"on .*: folder .* contains a different cohort; all workers"):
         cohort_maker.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
     (folder / "cohort.json").unlink()
     with pytest.raises(pssf.InputError, match=r"on .*: file .*cohort\.json .*No such file or directory; all workers"):
@@ -534,7 +530,7 @@ def test_cohort_settings_apply_to_every_knee_and_protocol(acquisition):
         assert other.knee == dataclasses.replace(one.knee, jsw_medial_mm=4.25)
         for before, after in zip(one.exposures, other.exposures, strict=True):
             assert (after.protocol.mas, after.protocol.sdd_mm) == (3.0, 1200.0)
-            # Fields that are not set are sampled as before.
+            # Protocol fields without a cohort setting have the same sampled values as before.
             for field in ("centre_x_mm", "beam_angle_deg", "tube_kv", "field_width_mm", "marker"):
                 assert getattr(after.protocol, field) == getattr(before.protocol, field)
 

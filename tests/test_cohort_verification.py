@@ -1,4 +1,4 @@
-"""Verification of a cohort: every fault of its files, records and manifest is reported."""
+"""Check the verification of cohorts: every fault of files, records and the manifest is reported."""
 
 import csv
 import dataclasses
@@ -14,7 +14,7 @@ from pssf.io import cohort_records
 
 @pytest.fixture
 def folder(whole_cohort, tmp_path):
-    """Copy a complete cohort, to be damaged."""
+    """Copy a complete cohort for a test that damages it."""
     return shutil.copytree(whole_cohort, tmp_path / "c")
 
 
@@ -93,7 +93,7 @@ def test_a_complete_cohort_has_no_faults_and_is_counted(folder):
         ),
     ],
 )
-def test_every_fault_is_a_line_with_the_file_name(folder, damage, lines):
+def test_every_fault_is_reported_in_one_line_with_the_file_name(folder, damage, lines):
     damage(folder)
     faults = cohort.verify_cohort(folder).faults
     assert len(faults) == len(lines)
@@ -118,7 +118,7 @@ def test_verifying_a_folder_without_a_cohort_raises_an_error(tmp_path):
 
 def test_the_verify_command_prints_faults_and_sets_the_exit_code(folder):
     whole = run_in_process("cohort", "verify", folder)
-    assert (whole.returncode, whole.stdout) == (0, "intact    6 radiographs, 11 files, as they were written\n")
+    assert (whole.returncode, whole.stdout) == (0, "intact    6 radiographs, 11 files, all unchanged\n")
     for image in list((folder / "images").iterdir())[:2]:
         append_byte(image)
     broken = run_in_process("cohort", "verify", folder)

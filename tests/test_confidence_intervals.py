@@ -16,7 +16,7 @@ from pssf.study.statistics.scores.split_scores import score_splits, summarise_sc
 
 
 def make_predictions(*, subjects: int = 30, splits: int = 4, shift: float = 1.5, seed: int = 0) -> pd.DataFrame:
-    """Return predictions of `lr` (better), `rf` and JSW within and across protocols; two knees per subject."""
+    """Return predictions for two knees per subject: `lr` (the best), `rf` and JSW, within and across protocols."""
     rng = np.random.default_rng(seed)
     truth = np.arange(subjects) % 2
     arms = [("within", "reference", "lr", "l1", shift), ("within", "reference", "jsw", "none", shift)]
@@ -38,7 +38,8 @@ def make_predictions(*, subjects: int = 30, splits: int = 4, shift: float = 1.5,
 def test_weighted_scores_equal_scores_of_repeated_rows(classes, rows, seed):
     rng = np.random.default_rng(seed)
     truth = rng.integers(classes, size=rows)
-    probability = rng.dirichlet(np.ones(classes), rows).round(1)  # with equal values
+    # Rounding creates equal probabilities, which the AUC must count as ties.
+    probability = rng.dirichlet(np.ones(classes), rows).round(1)
     weight = rng.integers(0, 4, (rows, 5)).astype(float)
     found = metrics.weighted_scores(truth, probability, weight)
     for sample in range(5):
@@ -56,7 +57,7 @@ def test_the_interval_of_a_mean_follows_nadeau_and_bengio():
     low, high = scipy.stats.t.interval(0.95, 3, 0.8125, error)
     assert_allclose([found.low, found.high], [low, min(high, 1.0)], rtol=1e-12)
     assert found.p == pytest.approx(2 * scipy.stats.t.sf(0.8125 / error, 3))
-    # Without overlapping splits it is the interval of a plain mean.
+    # A test-to-training ratio of 0 gives the ordinary one-sample t test of the mean.
     plain = scipy.stats.ttest_1samp(values, 0, nan_policy="omit")
     assert confidence_intervals.estimate_mean(values, 0.0).p == pytest.approx(plain.pvalue)
 
@@ -94,13 +95,13 @@ def test_the_middle_of_an_interval_is_the_score_on_the_logit_scale():
     assert_allclose((logit(found["auc_low"]) + logit(found["auc_high"])) / 2, logit(scores["auc"]), rtol=1e-9)
 
 
-def test_one_split_has_no_interval():
+def test_a_single_split_gives_no_interval():
     row = confidence_intervals.compute_arm_intervals(score_splits(make_predictions(splits=1)), 0.2).iloc[0]
     assert np.isnan(row[["auc_low", "auc_high", "macro_f1_low"]].astype(float)).all()
     assert np.isnan(confidence_intervals.estimate_mean(np.array([np.nan]), 0.2).value)
 
 
-def test_interval_width_falls_with_the_root_of_the_subject_count():
+def test_interval_width_falls_with_the_square_root_of_the_subjects():
     widths = []
     for subjects in (60, 960):
         table = score_splits(make_predictions(subjects=subjects, splits=60, shift=0.8))
@@ -109,7 +110,7 @@ def test_interval_width_falls_with_the_root_of_the_subject_count():
     assert widths[0] / widths[1] == pytest.approx(4, rel=0.5)
 
 
-def test_paired_differences_detect_the_worse_arm():
+def test_paired_differences_detect_the_worse_model():
     table = confidence_intervals.compare_arms(score_splits(make_predictions(subjects=200, splits=10)), 15 / 70)
     found = table[table["metric"] == "auc"].set_index(["comparison", "model"])
     cross = found.loc[("cross minus within", "lr")]
@@ -118,10 +119,11 @@ def test_paired_differences_detect_the_worse_arm():
     assert cross["test_subjects"] == 100
     assert 30 < cross["test_rarest"] <= 50
     assert found.loc[("model minus JSW (true)", "rf")]["high"] < 0
-    assert found.loc[("model minus JSW (true)", "lr"), "p"].item() > 0.01  # same signal, different noise
+    # Model and JSW have the same signal with different noise.
+    assert found.loc[("model minus JSW (true)", "lr"), "p"].item() > 0.01
 
 
-def test_training_on_all_is_compared_on_the_same_radiographs_only():
+def test_multi_protocol_training_is_compared_on_equal_test_radiographs():
     table = make_predictions()
     own = table[(table["scenario"] == "within") & (table["model"] == "lr")]
     protocol = own["tested_on"].iloc[0]
@@ -133,7 +135,7 @@ def test_training_on_all_is_compared_on_the_same_radiographs_only():
     assert pairs["multi minus cross"] == ["x"]
 
 
-def test_an_arm_has_zero_difference_to_its_copy():
+def test_the_difference_between_identical_predictions_is_zero():
     table = make_predictions()
     twin = table[(table["scenario"] == "within") & (table["model"] == "lr")].assign(scenario="cross", tested_on="x")
     both = pd.concat([table[table["scenario"] == "within"], twin], ignore_index=True)

@@ -1,4 +1,4 @@
-"""Check training with designed confounding on cohorts in which a feature depends on the confounder."""
+"""Check training with designed confounding, on cohorts in which a feature depends on the confounder."""
 
 import dataclasses
 
@@ -18,7 +18,7 @@ SETTINGS = StudySettings(repeats=10, selections=("l1",), models=("lr",))
 
 
 def make_cohort(seed: int = 0, subjects: int = 240) -> pd.DataFrame:
-    """Return two radiographs per subject with features of grade, BMI and protocol; BMI is independent of grade."""
+    """Return two radiographs per subject; features depend on grade, BMI and protocol, BMI does not depend on grade."""
     rng = np.random.default_rng(seed)
     grade = 2 * (np.arange(subjects) % 2)
     table = pd.DataFrame({"knee": range(subjects), "subject": range(subjects), "grade": grade})
@@ -79,7 +79,7 @@ def test_weaker_confounding_uses_more_training_subjects():
 
 
 @pytest.mark.parametrize("strength", [0.0, 0.6])
-def test_cell_weights_give_the_association_for_any_counts(strength):
+def test_cell_weights_give_the_requested_association_for_any_counts(strength):
     part = pd.DataFrame({"grade": [0, 0, 0, 2, 2, 2, 2], "high": [True, False, False, True, True, True, False]})
     part = part.assign(subject=range(7))
     weights = learn.compute_cell_weights(part, strength)

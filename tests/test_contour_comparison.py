@@ -1,4 +1,4 @@
-"""Comparison of projected landmarks with those of patients: means, spreads, modes and joint gaps."""
+"""Check the comparison of projected landmarks with patient landmarks: means, spreads, modes and joint gaps."""
 
 import dataclasses
 from functools import partial
@@ -32,14 +32,14 @@ def transform_points(points_mm, degrees, scale=1.0, shift=(0.0, 0.0)):
     return scale * points_mm @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) + shift
 
 
-def test_landmarks_with_the_statistics_of_patients_are_inside():
+def test_landmarks_with_patient_statistics_are_within_tolerance():
     found = landmark_comparison.compare_contours(make_contours(), REFERENCE)
     assert found.outside == [{"grade": 0, "knees": 600, "outside": 0, "total": 24}]
     assert len(found.landmarks) == 28
     assert all(row["mean_inside"] and row["sd_inside"] for row in found.landmarks)
 
 
-def test_only_a_displaced_landmark_is_outside():
+def test_only_a_displaced_landmark_is_outside_the_tolerance():
     sample = make_contours()
     moved = sample.landmarks_mm.copy()
     moved[:, CONTOUR_LANDMARKS.index("femur_medial_condyle"), 1] += 77.0 * 0.0135 * 4
@@ -52,7 +52,7 @@ def test_only_a_displaced_landmark_is_outside():
 
 
 @pytest.mark.parametrize(("stretch", "inside"), [(0.5, False), (0.8, True), (1.3, True), (1.6, False)])
-def test_a_spread_ratio_from_0_7_to_1_4_is_inside(stretch, inside):
+def test_a_spread_ratio_from_0_7_to_1_4_is_within_tolerance(stretch, inside):
     sample = make_contours()
     mean = sample.landmarks_mm.mean(axis=0)
     index = CONTOUR_LANDMARKS.index("medial_spine")
@@ -77,8 +77,8 @@ def test_normalised_landmarks_do_not_depend_on_pose_and_size():
 
 
 @pytest.mark.parametrize("grade", range(5))
-def test_joint_sizes_of_the_mean_patient_contour_are_mean_patient_sizes(grade):
-    # The gap between mean lines is near the mean gap, because the lines are nearly straight; the least gap is larger.
+def test_the_mean_patient_contour_has_the_mean_patient_joint_sizes(grade):
+    # Mean contours have nearly the mean gap; their minimum gap exceeds the mean of the minimum gaps of patients.
     known = REFERENCE.grade[str(grade)]
     sizes = landmark_comparison.measure_joint_sizes(np.array(known.mean_share)[None] * known.plateau_width_mm[0])
     for at in ("0150", "0200", "0250", "0300"):
@@ -89,7 +89,7 @@ def test_joint_sizes_of_the_mean_patient_contour_are_mean_patient_sizes(grade):
         assert least - 0.05 < sizes[f"{side}_gap_least_mm"][0] < least + 0.9
 
 
-def test_knees_that_vary_along_patient_modes_have_these_modes():
+def test_knees_sampled_from_the_patient_modes_have_the_same_modes():
     known = REFERENCE.modes
     weights = np.random.default_rng(1).standard_normal((4000, len(known.vectors))) * known.sd[: len(known.vectors)]
     fractions = np.array(REFERENCE.grade["0"].mean_share).ravel() + weights @ np.array(known.vectors)
@@ -165,7 +165,7 @@ def test_the_contour_figure_is_a_reproducible_png():
 
 
 def write_manifest(folder, monkeypatch, labels, side):
-    """Write the manifest of a cohort whose files have the given labels."""
+    """Write a cohort manifest, and replace the labels that are loaded from its files by `labels`."""
     (folder / "manifest.csv").write_text(
         "protocol,file\n" + "".join(f"fixed_flexion,{name}\n" for name in labels) + "reference,other\n"
     )
@@ -205,11 +205,11 @@ def test_a_folder_without_a_cohort_or_its_protocol_raises_an_error(tmp_path, mon
     write_manifest(tmp_path, monkeypatch, {"k.tif": (None, make_contours(count=1).landmarks_mm[0])}, "right")
     with pytest.raises(pssf.InputError, match="protocol must be one of fixed_flexion, reference, got 'low_dose'"):
         load_cohort_landmarks(tmp_path, "low_dose")
-    with pytest.raises(pssf.InputError, match=r"grade of every radiograph must be known, got none in file k\.tif"):
+    with pytest.raises(pssf.InputError, match=r"grade of every radiograph must be known, got no grade for file k\.tif"):
         load_cohort_landmarks(tmp_path, "fixed_flexion")
 
 
-def test_auc_of_the_gap_alone_is_compared_with_patients_from_grade_zero():
+def test_the_auc_of_the_joint_gap_is_compared_with_that_of_patients():
     samples = {grade: make_contours(grade=grade, seed=grade) for grade in (0, 2, 4)}
 
     def join_grades(*grades):
@@ -239,7 +239,7 @@ def test_joint_gaps_of_sampled_knees_agree_with_patients_per_grade():
     compared = landmark_comparison.compare_contours(sample, REFERENCE)
     gaps = [row for row in compared.sizes if "gap" in row["quantity"]]
     assert len(gaps) == 5 * 6
-    # Tolerances are 0.25 mm, 25 % and the interval of patients, each plus two standard errors of both samples.
+    # Tolerances: 0.25 mm for gaps, 25 % for SDs and the confidence interval of patients; plus two standard errors.
     off_mm = {
         (row["grade"], row["quantity"]): abs(row["simulated_mean"] - row["patient_mean"])
         - 2 * row["patient_sd"] * np.sqrt(1 / count + 1 / 150)

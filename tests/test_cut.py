@@ -1,4 +1,4 @@
-"""A closed mesh up to a height: what a solid that is trimmed by the plane is."""
+"""Check that cutting a closed mesh at a height gives the same solid as trimming by a plane."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_a_cut_mesh_equals_the_solid_trimmed_by_the_plane(up, end_mm):
     assert_array_equal(np.unique(cut.faces), np.arange(len(cut.vertices)))
 
 
-def test_vertices_on_the_cut_height_stay_and_a_lower_mesh_is_unchanged():
+def test_cutting_keeps_vertices_at_the_cut_and_meshes_below_it():
     whole = extract_mesh(Manifold.cylinder(10.0, 5.0, 5.0, 24).refine_to_length(2.0))
     level = np.unique(whole.vertices[:, 2])[2]
     assert_allclose(

@@ -119,7 +119,7 @@ def test_sampled_cysts_occur_in_high_grades_on_the_narrower_side():
     }
     fraction = {grade: np.mean([bool(knee.cysts) for knee in knees]) for grade, knees in sampled.items()}
     assert fraction[0] == fraction[2] == 0
-    # Bounds are four standard errors of a fraction of 300.
+    # Tolerances are four standard errors of a fraction of 300 knees.
     assert abs(fraction[3] - 0.15) < 0.085
     assert abs(fraction[4] - 0.35) < 0.11
     cysts = [(knee, one) for knees in sampled.values() for knee in knees for one in knee.cysts]

@@ -55,7 +55,7 @@ def test_invalid_plane_waves_are_rejected():
 
 
 class Any:
-    """Return a given value as the integral."""
+    """Density field whose integral is always a specified value."""
 
     def __init__(self, given):
         self.integrate = lambda starts_mm, ends_mm: given
@@ -81,7 +81,7 @@ STARTS, ENDS = np.zeros((3, 3)), np.full((3, 3), 2.0)
 )
 def test_a_density_must_return_one_finite_number_per_segment(given, why):
     with pytest.raises(
-        InputError, match=rf"^Any.integrate must return \(3,\) finite numbers in mm, one per segment, {why}"
+        InputError, match=rf"^Any.integrate must return \(3,\) finite numbers in mm, one for each segment, {why}"
     ):
         integrate_along_segments(Any(given), STARTS, ENDS)
 
@@ -92,7 +92,7 @@ def test_a_density_may_return_any_sequence_of_numbers(given):
 
 
 @given(by=st.tuples(coordinate, coordinate, coordinate))
-def test_a_translated_density_has_the_same_integrals_after_translation(by):
+def test_translating_a_density_field_and_rays_preserves_the_integrals(by):
     waves = PlaneWaves(mean=0.7, amplitudes=(0.4,), waves_per_mm=((0.3, -0.8, 1.1),), phases=(0.2,))
     starts, ends = np.random.default_rng(2).uniform(-20, 20, (2, 9, 3))
     moved = TranslatedDensity(density=waves, offset_mm=by)

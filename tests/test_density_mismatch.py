@@ -1,4 +1,4 @@
-"""Check that a body inside bone of varying density must name that density."""
+"""Check that a body inside bone of varying density must specify the same density field."""
 
 import dataclasses
 
@@ -29,7 +29,7 @@ def test_a_body_without_the_surrounding_density_is_rejected(built, coarse):
     scene = add_cube(built)
     report = pssf.check(scene, coarse)
     assert not report.ok
-    assert "screw: outside_density must be that of the trabecular_bone around it" in str(report)
+    assert "screw: outside_density must be the density of the trabecular_bone around it" in str(report)
     for use in (pssf.trace, pssf.simulate):
         with pytest.raises(pssf.InputError, match=r"screw: outside_density must be .*, got None.*built\.insert"):
             use(scene, coarse, engine="scanline")
@@ -43,7 +43,8 @@ def test_a_body_with_the_surrounding_density_replaces_that_bone(built, coarse):
     bone = paths[1].path_mm["trabecular_bone"] - paths[0].path_mm["trabecular_bone"]
     metal = paths[0].path_mm["Ti@4.51"]
     assert metal.max() > 5
-    assert (np.abs(bone - metal)[metal > 1] > 0.01).any()  # the relative density is not 1 everywhere
+    # Bone path lengths contain the relative density, which is not 1 everywhere.
+    assert (np.abs(bone - metal)[metal > 1] > 0.01).any()
     assert_allclose(bone[metal == 0], 0, atol=1e-9)
 
 
@@ -51,7 +52,7 @@ def test_check_reports_a_body_with_the_density_of_another_bone(built, coarse):
     scene = add_cube(built, outside_density=get_density(built, "femur_trabecular"))
     report = str(pssf.check(scene, coarse))
     assert (
-        "screw: outside is trabecular_bone, but trabecular_bone of another density (tibia_trabecular) is there"
+        "screw: outside is trabecular_bone, but rays find trabecular_bone of another density (tibia_trabecular)"
         in report
     )
 
@@ -62,7 +63,7 @@ def test_no_density_is_required_without_texture(built, coarse):
     pssf.trace(add_cube(built), smooth, engine="scanline")
 
 
-def test_equal_densities_count_as_the_same(coarse):
+def test_equal_density_fields_are_treated_as_the_same_density(coarse):
     waves = [pssf.PlaneWaves(mean=0.5, amplitudes=(0.1,), waves_per_mm=((1.0, 0.0, 0.0),), phases=(0.0,)) for _ in "ab"]
     outer, inner = (trimesh.creation.box(3 * [side]) for side in (60, 20))
     scene = pssf.Scene([

@@ -23,13 +23,13 @@ COARSE = PROTOCOL_AXES["pixel_size"].steps.index(2.0) + 1
 
 
 class DesignedCohort:
-    """Provide block knees and repeated acquisitions of them, each in its own file by kind and turn."""
+    """Block knees and repeated acquisitions, with a separate file for each kind and repeat number."""
 
     def __init__(self) -> None:
         self.cohort = Cohort(5)
         rows = [row for row in self.cohort.rows if row["protocol"] == "reference" and row["grade"] != 1]
         self.manifest = pd.DataFrame(rows).assign(nominal_jsw_medial_mm=lambda t: 5.0 - t["grade"], mas=2.0)
-        # Subjects and knees are texts, as in tables from other sources.
+        # Identifiers of subjects and knees are strings, as is common in tables from other sources.
         self.manifest[["subject", "knee"]] = "P" + self.manifest[["subject", "knee"]].astype(str)
         self.known = {row["file"]: row for row in rows}
 
@@ -75,7 +75,7 @@ def make_designed_manifests() -> study.DesignedManifests:
 
 @pytest.fixture(scope="module", autouse=True)
 def reduce_minimum_samples():
-    """Lower the minimum of 32 samples, whose radiographs would take a minute."""
+    """Lower the minimum number of samples from 32, whose radiographs would take a minute."""
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(statistics, "_MIN_COMPLETE_SAMPLES", SAMPLES)
         yield
@@ -94,7 +94,7 @@ def test_designed_acquisitions_appear_in_the_tables_and_the_report(result):
     assert {"curve_dose", "curve_pixel_size", "sensitivity"} <= set(result.pictures)
     page = result.report.read_text(encoding="utf-8")
     assert all(f'<section id="{name}">' in page for name in ("curves", "sensitivity"))
-    # The grades have no table of ranges, so that the report shows none.
+    # The manifest names no grade table, so the report shows no ranges.
     built = page[page.index("Parameters of the knees") : page.index("<h3>Methods")]
     assert "Sampled: mean" in built
     assert "There are no ranges per grade" in built
@@ -109,7 +109,7 @@ def test_the_region_size_in_mm_does_not_depend_on_the_pixel_size(result):
     assert len(load_typed_table(out / "features_response_curves_80.csv")) == 8 * 7
     assert len(load_typed_table(out / "features_response_curves_40.csv")) == 8
     area = load_typed_table(result.tables["curve_pixel_size"]).query("feature == 'shape2D_PixelSurface'")
-    # With the same number of pixels the area would be four times as large, about ten SD more.
+    # A region with the same number of pixels would have four times the area, a difference of about ten SD.
     assert (area.query("measure == 'feature, SD'")["value"].abs() < 2).all()
 
 

@@ -1,4 +1,4 @@
-"""Clearance between a leg and the detector."""
+"""Check the clearance between a leg and the detector."""
 
 from dataclasses import replace
 
@@ -22,8 +22,8 @@ def flexed(too_near):
     return pssf.build(pssf.Knee(), too_near)
 
 
-def test_a_leg_is_moved_clear_of_the_detector_by_the_least_distance(flexed, too_near):
-    with pytest.raises(InputError, match=r"the leg reaches \d+\.\d mm behind the detector"):
+def test_a_leg_is_moved_away_from_the_detector_by_the_least_distance(flexed, too_near):
+    with pytest.raises(InputError, match=r"the leg extends \d+\.\d mm behind the detector"):
         require_detector_clearance(flexed.scene, too_near)
     cleared = move_clear_of_detector(flexed.scene, too_near)
     off_mm = too_near.sod_mm - cleared.sod_mm
@@ -35,12 +35,12 @@ def test_a_leg_is_moved_clear_of_the_detector_by_the_least_distance(flexed, too_
     assert move_clear_of_detector(flexed.scene, cleared) is cleared
 
 
-def test_parts_outside_the_field_need_no_clearance(flexed, too_near):
+def test_parts_of_a_leg_outside_the_field_need_no_clearance(flexed, too_near):
     narrow = replace(too_near, rows=16, cols=16, pixel_mm=0.5)
     assert move_clear_of_detector(flexed.scene, narrow) is narrow
 
 
-def test_a_cohort_moves_legs_clear_and_records_their_distance(too_near, tmp_path):
+def test_a_cohort_records_how_far_legs_are_moved_from_the_detector(too_near, tmp_path):
     plan = cohort.plan_cohort("population", seed=1, overrides={"knees": [1, 0, 0, 0, 0]})
     (case,) = plan.cases
     near = tuple(replace(one, protocol=too_near) for one in case.exposures)

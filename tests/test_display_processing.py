@@ -85,7 +85,7 @@ def test_a_power_below_one_enhances_small_details_over_large_ones():
     fixed = dict(dark=0.0, bright=1.0, bend=1e-3)
 
     def measure_ratio(power):
-        # Both amplitudes are in one image, left and right, so that the same grey curve applies to both.
+        # The two amplitudes are in the left and right half of one image, so the same grey curve applies to both.
         both = np.where(np.arange(SIDE) < SIDE // 2, small, large)
         grey = render_processed(render_limb(both), 0.15, change_plain(power=power, **fixed))
         return np.ptp(grey[64:-64, 60:90]) / np.ptp(grey[64:-64, -90:-60])
@@ -122,7 +122,7 @@ def test_a_limb_without_transmission_is_white_and_not_black():
     assert grey[-15:, 64:-64].min() > 0.9
 
 
-def test_film_has_the_tabulated_median_density_and_darkens_with_dose():
+def test_screen_film_has_the_tabulated_density_and_darkens_with_dose():
     processing = load_display_processing().film
     signal = render_limb(np.random.default_rng(1).normal(0, 0.3, (SIDE, SIDE)))
     grey = render_film(signal, processing)
@@ -141,7 +141,7 @@ def test_bone_is_brighter_than_muscle_and_muscle_brighter_than_air():
 
 
 @pytest.mark.parametrize("processing", display_rendering.DISPLAY_PROCESSING)
-def test_the_dark_offset_of_the_radiographs_detector_is_subtracted(monkeypatch, processing):
+def test_the_dark_offset_of_the_detector_is_subtracted(monkeypatch, processing):
     known = load_detectors()
     brighter = {**known, "gos": msgspec.structs.replace(known["gos"], offset_dn=known["csi"].offset_dn + 500)}
     monkeypatch.setattr(display_rendering, "load_detectors", lambda: brighter)
@@ -210,13 +210,13 @@ def test_sampled_display_processing_follows_the_table_and_its_seed(fraction, kin
         values = np.log(values) if name == "edge_gain" else values
         assert law.low - 1e-3 <= values.min()
         assert values.max() <= law.high + 1e-3
-        # Three standard errors of the mean of 400 values; clipping to the range moves the mean by less than 0.2 SD.
+        # The tolerance is three standard errors of 400 values plus 0.2 SD for the shift by clipping.
         assert abs(values.mean() - law.mean) < (3 / np.sqrt(400) + 0.2) * law.sd
         assert 0.5 * law.sd < values.std() < 1.1 * law.sd
     assert all(processing.power == load_display_processing().processed.power for processing in sampled)
 
 
-def test_the_tabulated_fraction_of_samples_is_weakly_processed():
+def test_the_tabulated_fraction_of_sampled_processing_is_weak():
     known = load_display_processing()
     rare = msgspec.structs.replace(known.spread.plain_latitude_gain, mean=9.0, sd=0.0, low=9.0, high=9.0)
     known = msgspec.structs.replace(known, spread=msgspec.structs.replace(known.spread, plain_latitude_gain=rare))
@@ -244,7 +244,7 @@ def test_display_processing_is_sampled_from_a_seed_or_a_generator():
 
 
 @pytest.mark.parametrize("processing", ["log", "processed"])
-def test_a_radiograph_is_rendered_with_its_own_detector_pitch_and_field(processing):
+def test_a_radiograph_is_rendered_with_its_detector_pitch_and_field(processing):
     protocol = dataclasses.replace(
         pssf.load_protocol("reference"),
         **{
@@ -317,7 +317,7 @@ def test_a_collimated_field_has_no_bright_line_along_its_edge(processing, focal_
 
 
 def count_letters(displayed):
-    """Count the white letters in an image, without its middle, where the bone is."""
+    """Count the white letters in an image, excluding the middle, which contains bone."""
     white = displayed >= 200
     white[:, displayed.shape[1] // 2 - 80 : displayed.shape[1] // 2 + 80] = False
     return ndimage.label(ndimage.binary_dilation(white, iterations=3))[1]

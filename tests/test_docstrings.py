@@ -7,14 +7,14 @@ import pytest
 from numpydoc.docscrape import NumpyDocString
 from test_house import SOURCES
 
-# Commands of the command line: their docstring is the help text, and each option has its own.
+# Modules of commands: their docstrings are help texts, and the options are documented separately.
 COMMANDS = ("cli/__init__.py", "cli/making_commands.py", "cli/measuring_commands.py", "cli/study_command.py")
 COMMANDS += ("cli/benchmark_command.py", "cli/explore_command.py", "cli/features_command.py", "cli/predict_command.py")
 NOT_A_VERB = ("What", "Of", "Where", "How", "Whether", "Which", "Who", "The", "A", "An")
 PROPERTIES = {"property", "cached_property"}
 
 
-# Not `numpydoc lint`: it rejects documented fields of dataclasses (54 messages) and properties (86) of this package.
+# `numpydoc lint` is not used: it rejects documented dataclass fields (54 messages) and properties (86 messages).
 def faults(path: str, text: str) -> Iterator[str]:
     """Yield a line for each fault of the public docstrings of a module."""
     tree = ast.parse(text)

@@ -61,7 +61,7 @@ def list_unknown_parts(command):
 
 @pytest.mark.parametrize("path", WITH_PYTHON, ids=name_page)
 def test_the_python_blocks_of_a_page_run(path, tmp_path):
-    # Meshes that stand for those of a reader.
+    # The examples on the page read meshes of the user; spheres replace these meshes.
     for name, radius_mm in (("leg", 60.0), ("femur", 15.0), ("screw", 3.0)):
         trimesh.creation.icosphere(subdivisions=2, radius=radius_mm).export(tmp_path / f"{name}.stl")
     assert run_blocks(path, tmp_path)
@@ -92,7 +92,7 @@ def test_the_commands_of_a_page_exist_with_their_options(path):
         "    uv run python examples/nothing.py\n",
     ],
 )
-def test_a_wrong_command_is_found(line, tmp_path):
+def test_a_wrong_command_is_detected(line, tmp_path):
     page = tmp_path / "page.md"
     page.write_text(line)
     assert check_commands(page) or [part for command in read_commands(page) for part in list_unknown_parts(command)]
@@ -103,7 +103,7 @@ def test_the_links_of_a_page_lead_to_files_and_headings(path):
     assert list_broken_links(path) == []
 
 
-def test_a_broken_link_is_found(tmp_path):
+def test_a_broken_link_is_detected(tmp_path):
     page = tmp_path / "page.md"
     page.write_text("# One\n[a](#one) [b](#two) [c](page.md#one) [d](none.md) [e](https://example.org)\n")
     assert list_broken_links(page) == ["#two", "none.md"]
@@ -116,7 +116,7 @@ def test_a_readme_is_short_and_has_no_measured_table(path):
     assert "<!-- table" not in text
 
 
-def test_the_front_page_has_the_two_commands():
+def test_the_front_page_has_the_two_main_commands():
     text = (ROOT / "README.md").read_text()
     assert "pip install uv && uv run pssf study --preset quick --out runs/quick" in text
     assert "pip install uv && uv run pytest" in text
@@ -130,7 +130,7 @@ def test_every_column_of_a_study_is_described(film_study):
     assert list_unknown_columns(film_study.report.parent) == []
 
 
-def test_an_unknown_column_is_found(tmp_path):
+def test_an_unknown_column_is_detected(tmp_path):
     (tmp_path / "scores.csv").write_text("task,nothing_of_this_name\n")
     (tmp_path / "nothing.csv").write_text("a\n")
     assert list_unknown_columns(tmp_path) == ["nothing.csv", "scores.csv: nothing_of_this_name"]

@@ -49,11 +49,11 @@ def test_an_effusion_does_not_change_bones_or_joint_spaces(dry_and_swollen):
 
 
 def test_the_limb_swells_anteriorly_posteriorly_and_medially_at_the_joint(dry_and_swollen):
-    # The limb is large enough for the patella; a limb that was widened for its bones swells less.
+    # The limb is thick enough for the patella; a limb that is widened to contain its bones would swell less.
     wide_limbs = [build(Knee(limb_ap_mm=128.0, effusion_mm=effusion_mm)) for effusion_mm in (0.0, 6.0)]
     (low, high), (low_swollen, high_swollen) = (measure_extent(built, "muscle", 0.0) for built in wide_limbs)
     more = np.concatenate([low - low_swollen, high_swollen - high])
-    # Order: lateral, anterior, medial, posterior. Where bone protruded, the limb was already up to 1 mm wider.
+    # Order: lateral, anterior, medial, posterior. The limb without effusion may be up to 1 mm wider at prominent bones.
     by = 6.0 * np.array([0.0, TABLE.front_and_back, TABLE.medial, TABLE.front_and_back])
     np.testing.assert_allclose(more, by, rtol=0, atol=1.0)
     far, far_swollen = (measure_extent(built, "muscle", -120.0) for built in dry_and_swollen)
@@ -106,7 +106,7 @@ def test_effusion_rises_with_grade_but_does_not_separate_adjacent_grades():
         for grade in range(5)
     ]
     assert np.all(np.diff([swollen.mean() for swollen in by_grade]) > 0)
-    # The margin is three standard errors of an AUC of 200 knees per grade.
+    # The margin is three standard errors of an AUC from 200 knees per grade.
     error = 3 * np.sqrt(1 / (6 * 200))
     for less, more in itertools.pairwise(by_grade):
         assert mannwhitneyu(more, less).statistic / 200**2 < 0.75 + error

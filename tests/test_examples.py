@@ -1,4 +1,4 @@
-"""Run every script in examples/."""
+"""Check that every script in examples/ runs."""
 
 import importlib.util
 from pathlib import Path

@@ -36,11 +36,11 @@ def make_tiny_experiment(folder, cohort, **settings):
 
 
 def count_items(execution):
-    """Return the numbers of existing and of new items per stage."""
+    """Return the numbers of existing and new items of each stage."""
     return {name: (stage.already_done, stage.newly_done) for name, stage in execution.timer.stages.items()}
 
 
-def test_retests_list_knee_kind_and_turn_and_their_files_exist(tmp_path):
+def test_the_retest_manifest_lists_the_files_of_every_repeat(tmp_path):
     experiment, execution = make_tiny_experiment(tmp_path, write_tiny_cohort_settings(tmp_path))
     first, retest = experiment.manifest.iloc[0], experiment.retest
     assert list(retest["kind"]) == ["noise", "noise", "perturbation", "perturbation"]
@@ -56,7 +56,7 @@ def test_retests_list_knee_kind_and_turn_and_their_files_exist(tmp_path):
     assert once_more.manifest.equals(experiment.manifest)
 
 
-def test_no_retested_knees_give_no_retest_manifest(tmp_path):
+def test_an_experiment_without_retested_knees_has_no_retest_manifest(tmp_path):
     assert make_tiny_experiment(tmp_path, write_tiny_cohort_settings(tmp_path) | {"retested": 0})[0].retest is None
 
 
@@ -66,7 +66,7 @@ def test_invalid_settings_are_rejected_before_any_radiograph_is_made(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_without_the_reference_the_first_protocol_replaces_it(tmp_path):
+def test_the_first_protocol_replaces_a_missing_reference_protocol(tmp_path):
     cohort = write_tiny_cohort_settings(tmp_path)
     path = tmp_path / "reference.toml"
     path.write_text(path.read_text().replace('name = "reference"', 'name = "mine"'))
@@ -93,7 +93,7 @@ def write_study_result(out) -> StudyResult:
     )  # fmt: skip
 
 
-def test_a_finished_run_is_reused_without_running_again(tmp_path, monkeypatch):
+def test_a_finished_study_is_reused_without_running_again(tmp_path, monkeypatch):
     requested, execution = make_tiny_experiment(tmp_path, write_tiny_cohort_settings(tmp_path))
     monkeypatch.setattr(experiment, "make_standard_templates", lambda engine, workers: None)
     runs = []
@@ -111,7 +111,7 @@ def test_a_finished_run_is_reused_without_running_again(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("damage", ["change", "delete"])
-def test_a_finished_run_with_a_changed_or_deleted_file_is_not_reused(tmp_path, damage):
+def test_a_study_with_a_changed_or_deleted_file_is_not_reused(tmp_path, damage):
     key = resume.compute_run_key([pd.DataFrame({"a": [1]})], StudySettings(), "scanline")
     resume.save_finished_run(write_study_result(tmp_path), tmp_path, key)
     assert resume.load_finished_run(tmp_path, key) is not None
@@ -124,7 +124,7 @@ def test_a_finished_run_with_a_changed_or_deleted_file_is_not_reused(tmp_path, d
 @pytest.mark.parametrize(
     "text", ["[]", "1", '"x"', "{}", "[" * 100_000, "lacks sha256", "lacks scores", "lacks a hash", "wrong type"]
 )
-def test_an_invalid_finished_file_does_not_mark_a_finished_run(tmp_path, text):
+def test_an_invalid_completion_file_does_not_mark_a_study_as_finished(tmp_path, text):
     key = resume.compute_run_key([pd.DataFrame({"a": [1]})], StudySettings(), "scanline")
     resume.save_finished_run(write_study_result(tmp_path), tmp_path, key)
     path = tmp_path / "finished.json"

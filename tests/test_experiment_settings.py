@@ -10,7 +10,7 @@ from pssf import InputError, experiment
 from pssf.core.processes.execution import Execution
 from pssf.study.design.experiment_settings import SETTING_TYPES, merge_settings, read_settings
 
-# Cohort of one radiograph of 64 x 64 pixels; the joint is not located on it.
+# Settings of a cohort with one radiograph of 64 x 64 pixels, on which no joint is located.
 TINY = {"knees": (0, 0, 1), "protocols": ("reference",), "matrix": 64, "retested": 0}
 
 
@@ -22,7 +22,7 @@ def write_file(path, text):
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    """Make the tiny cohort with some settings and return its settings file."""
+    """Make the tiny cohort with modified settings and return the written settings file."""
     folder = tmp_path_factory.mktemp("tiny")
     changed = {"seed": 3, "bins": 32, "strengths": [0, 0.5], "models": ["lr"], "set": ["mas=3"]}
     experiment.make_experiment(folder, Execution(), TINY | changed)
@@ -52,18 +52,18 @@ def test_an_option_replaces_the_file_and_the_file_replaces_the_preset(tmp_path, 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("bin = 32", r"s\.toml: names must be among preset, .*, got 'bin' \(did you mean 'bins'\?\)"),
+        ("bin = 32", r"s\.toml: setting must be one of preset, .*, got 'bin' \(did you mean 'bins'\?\)"),
         ("bins = '32'", r"s\.toml: bins must be a whole number, got '32'"),
-        ("knees = 3", r"s\.toml: knees must be a list of whole numbers, got 3"),
+        ("knees = 3", r"s\.toml: knees must be a list of integers, got 3"),
         ("rho = [0.9]", r"s\.toml: rho must be a number, got \[0\.9\]"),
-        ("models = ['lr', 1]", r"s\.toml: models must be a list of texts, got \['lr', 1\]"),
+        ("models = ['lr', 1]", r"s\.toml: models must be a list of strings, got \['lr', 1\]"),
         ("preset = true", r"s\.toml: preset must be text, got True"),
         ("bins = ", r"file .*s\.toml must be a readable TOML file, got: not TOML"),
         ("bins = 7", r"bins must be a whole number from 8 to 256 grey values, got 7"),
-        ("films_pixel_mm = 0.2", "films must be given with films_pixel_mm, got films = none"),
+        ("films_pixel_mm = 0.2", "films must be a folder if films_pixel_mm is used, got films = none"),
     ],
 )
-def test_an_invalid_file_gives_one_line_and_no_files(text, message, tmp_path):
+def test_an_invalid_settings_file_gives_a_one_line_error_and_no_files(text, message, tmp_path):
     path = write_file(tmp_path / "s.toml", text)
     done = run("study", "--config", path, "--out", tmp_path / "o")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
@@ -80,14 +80,14 @@ def test_a_study_writes_every_setting_that_has_a_value(written):
     assert (held["grade_table"], held["set"], held["reference"]) == ("paper", ["mas=3"], "reference")
 
 
-def test_the_written_settings_repeat_the_study_with_the_same_bytes(written, tmp_path):
+def test_repeating_a_study_from_its_settings_gives_identical_bytes(written, tmp_path):
     again = experiment.make_experiment(tmp_path, Execution(), read_settings(written))
     assert again.settings.bins == 32
     for name in ("study.toml", "cohort/cohort.json", "cohort/manifest.csv"):
         assert (tmp_path / name).read_bytes() == (written.parent / name).read_bytes()
 
 
-def test_the_same_settings_resume_and_others_are_rejected(written):
+def test_a_run_resumes_only_with_the_same_settings(written):
     before, execution = written.read_bytes(), Execution()
     experiment.make_experiment(written.parent, execution, read_settings(written))
     stage = execution.timer.stages["cohort"]
@@ -97,7 +97,7 @@ def test_the_same_settings_resume_and_others_are_rejected(written):
     assert written.read_bytes() == before
 
 
-def test_texts_survive_the_settings_file(tmp_path):
+def test_special_characters_survive_the_settings_file(tmp_path):
     text = 'a "quoted" \\ path, α, \x7f and a tab\t'
     settings = merge_settings({"films": text})
     plan = experiment.plan_cohort("quick", seed=0, overrides=TINY)
@@ -106,10 +106,12 @@ def test_texts_survive_the_settings_file(tmp_path):
     assert read_settings(path)["films"] == text
 
 
-def test_a_former_option_warns_and_sets_its_setting(tmp_path):
+def test_a_deprecated_option_gives_a_warning_and_sets_its_setting(tmp_path):
     done = run("study", "--films-pixel-mm", "0.5", "--out", tmp_path / "o")
     moved, error = done.stderr.splitlines()
-    assert moved.startswith("pssf: --films-pixel-mm moves to the settings file; the option will be removed; set films_")
-    assert error == "pssf: films must be given with films_pixel_mm, got films = none"
+    assert moved.startswith(
+        "pssf: --films-pixel-mm is now a setting of the settings file; the option will be removed; set films_"
+    )
+    assert error == "pssf: films must be a folder if films_pixel_mm is used, got films = none"
     done = run("study", "--strengths", "0,much", "--out", tmp_path / "o")
     assert done.stderr.splitlines()[1] == "pssf: strengths must be numbers separated by commas, got '0,much'"

@@ -25,12 +25,14 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="chromium is not instal
 SIDE = 96
 WAIT_MS = 240_000
 # The script exposes the page's modules, but not those in the frame of the 3D view. It runs at load time because the
-# browser sometimes discards an `import` promise that only a test awaits.
+# browser sometimes discards an `import` that only a test awaits.
 MODULES = """addEventListener("load", () => {
   for (const name of window === window.top && document.querySelector("#film") ? ["app", "server"] : [])
     import(new URL(`page/${name}.js`, document.baseURI).href).then((module) => { window[name] = module; });
 })"""
-# A small detector of the same field makes images fast.
+# The 3D view draws no triangle, because rendering without a graphics card takes a minute; test_knee_viewer renders it.
+NO_DRAWING = "WebGL2RenderingContext.prototype.drawElements = WebGL2RenderingContext.prototype.drawArrays = () => {}"
+# Coarse detector with an unchanged field of view, for fast images.
 SMALL = {"rows": SIDE, "cols": SIDE, "pixel_mm": 3.2}
 
 
@@ -66,6 +68,7 @@ def open_page(browser, link, where=None):
     """Open the page in a new context and require an empty console."""
     context = browser.new_context(viewport={"width": 1500, "height": 900})
     context.add_init_script(MODULES)
+    context.add_init_script(NO_DRAWING)
     page, messages = context.new_page(), []
     page.set_default_timeout(WAIT_MS)
     # The browser logs each error response, which some tests cause on purpose.
@@ -82,7 +85,8 @@ def open_page(browser, link, where=None):
 @pytest.fixture(scope="module")
 def tab(browser, server):
     with open_page(browser, server[1]) as page:
-        page.click("#solids-open > summary")  # closed, because WebGL without a graphics card is slow
+        # The 3D view is closed, because WebGL without a graphics card is slow.
+        page.click("#solids-open > summary")
         yield page
 
 
@@ -119,7 +123,7 @@ def read_state(page):
 
 def read_pixels(page):
     """Return the (rows, cols) pixels of the page."""
-    # The bytes are transferred as text, because a list of four million numbers takes almost a minute.
+    # The bytes are transferred as text, because transferring four million numbers as a list takes almost a minute.
     rows, cols, data = page.evaluate("""async () => {
       const { header, pixels } = app.film.present;
       const file = new FileReader();
@@ -161,11 +165,12 @@ def test_page_pixels_and_python_snippet_agree_with_simulate(page):
 def test_every_control_changes_its_own_field_only(browser, server):
     context = browser.new_context()
     context.add_init_script(MODULES)
+    context.add_init_script(NO_DRAWING)
     page = context.new_page()
     page.goto(server[1] + make_fragment())
     page.wait_for_selector("html[data-picture]", timeout=WAIT_MS)
     page.wait_for_function("window.app")
-    # The changes are not simulated.
+    # The server is replaced by an error response, so that no image is simulated after each change.
     page.route("**/answer/**", lambda route: route.fulfill(status=409, json={"error": "superseded"}))
     changed = page.evaluate("""() => {
       const { store } = app, found = {}, places = { knee: "knee", protocol: "exposure" };
@@ -284,7 +289,7 @@ def test_the_page_recovers_after_the_worker_is_killed(page):
     assert page.is_hidden("#error")
 
 
-def test_an_error_is_shown_as_an_alert_and_disappears_when_corrected(page):
+def test_an_error_is_shown_as_an_alert_until_it_is_corrected(page):
     open_groups(page)
     act(page, lambda: set_number(page, "sod_mm", 1100, "#exposure"))
     with page.expect_response(lambda answer: answer.status == 400):
@@ -298,7 +303,7 @@ def test_an_error_is_shown_as_an_alert_and_disappears_when_corrected(page):
     assert page.is_hidden("#error")
 
 
-def test_an_unfinished_response_is_dropped_after_a_new_request(page):
+def test_an_unfinished_response_is_discarded_after_a_new_request(page):
     script = """async () => {
       const { server } = window, real = window.fetch;
       let finish, headed;
@@ -381,7 +386,7 @@ def test_a_busy_sign_is_shown_while_image_and_parameters_differ(page):
     assert (read_pixels(page) == simulate_expected(seed=1)).all()
     page.evaluate("restore()")
     assert [page.get_attribute("#busy", name) for name in ("role", "aria-live")] == ["status", "polite"]
-    # A sign that is due to go within 150 ms does not appear at all.
+    # A status that is hidden again within 150 ms does not appear at all.
     assert (
         page.evaluate("""async () => {
       const { showBusy } = await import(new URL("page/busy.js", document.baseURI).href);
@@ -397,7 +402,7 @@ def test_a_busy_sign_is_shown_while_image_and_parameters_differ(page):
     )
 
 
-def test_the_sign_says_when_a_preview_waits_for_full_resolution(page):
+def test_a_status_reports_that_a_preview_awaits_full_resolution(page):
     script = """rows => {
       const sign = document.querySelector("#busy");
       window.seen = [];
@@ -428,7 +433,7 @@ def test_the_histogram_is_visible_in_light_and_dark_mode(page):
     ]))))"""
     for scheme in ("dark", "light"):
         page.emulate_media(color_scheme=scheme)
-        # The browser reports the change with the next frame.
+        # The browser applies the change of the colour scheme with the next frame.
         data, panel = page.evaluate(script)
         with Image.open(BytesIO(base64.b64decode(data.split(",")[1]))) as image:
             last_row = np.asarray(image.convert("RGBA"))[-1]
@@ -456,7 +461,7 @@ def test_the_difference_to_a_pinned_image_is_shown(page):
     page.select_option("#compare", "b")
 
 
-def test_another_protocol_resets_the_window_and_a_slider_keeps_it(page):
+def test_a_new_protocol_resets_the_window_but_a_slider_does_not(page):
     window = "() => [+document.querySelector('#window').value, +document.querySelector('#level').value]"
     page.click("#auto")
     first = page.evaluate(window)
@@ -469,7 +474,7 @@ def test_another_protocol_resets_the_window_and_a_slider_keeps_it(page):
     assert low - 0.1 * width < level < high + 0.5 * width
     assert 64 < read_canvas(page)[..., 0][read_pixels(page) < high].mean() < 192
     act(page, lambda: page.click("#reset"))
-    # Processed display, with which the page starts, has its own window.
+    # The processed display, which is the initial display of the page, has a separate window setting.
     assert page.input_value("#processing") == "processed"
     act(page, lambda: page.select_option("#processing", "linear"))
     assert page.evaluate(window) == pytest.approx(first, rel=0.1)
@@ -479,7 +484,7 @@ def test_the_page_lists_differences_between_current_and_pinned_image(page):
     page.click("#pin")
     assert page.inner_text("#compared") == "Both images have the same parameters."
     act(page, lambda: set_number(page, "mas", 4, "#exposure"))
-    assert page.inner_text("#compared") == "The current image differs from the pinned one in current-time product."
+    assert page.inner_text("#compared") == "The current image differs from the pinned image in current-time product."
     page.select_option("#compare", "difference")
     assert "Orange: current larger" in page.inner_text("#compared")
     page.select_option("#compare", "b")

@@ -76,7 +76,7 @@ def cache():
 # --- cache of imaging stages ---
 
 
-def test_technique_changes_reuse_the_rays_and_geometry_changes_do_not(cache):
+def test_technique_changes_reuse_the_rays_but_geometry_changes_do_not(cache):
     first = cache.simulate_image(Knee(), make_small_protocol(), 0)
     again = [
         cache.simulate_image(Knee(), make_small_protocol(tube_kv=80.0), 0),
@@ -88,7 +88,7 @@ def test_technique_changes_reuse_the_rays_and_geometry_changes_do_not(cache):
     assert other.built is first.built
 
 
-def test_another_seed_repeats_only_the_noise_stages(cache):
+def test_a_new_seed_repeats_only_the_noise_stages(cache):
     cache.simulate_image(Knee(), make_small_protocol(), 0)
     made = cache.simulate_image(Knee(), make_small_protocol(), 1)
     assert set(made.seconds) == {"anatomy", "rays", "quantum noise", "detector blur", "readout"}
@@ -128,7 +128,7 @@ def test_the_cache_gives_the_pixels_of_simulate_for_every_changed_field(name, ca
 
 
 @pytest.mark.parametrize("changes", [{}, {"scatter": "monte_carlo", "scatter_photons": 4000}])
-def test_another_seed_gives_the_pixels_of_simulate_with_both_scatters(changes, cache):
+def test_a_new_seed_gives_the_pixels_of_simulate_with_either_scatter(changes, cache):
     for seed in (1, 2, 1):
         made = cache.simulate_image(Knee(), make_small_protocol(**changes), seed)
         assert (
@@ -201,7 +201,7 @@ def test_exposure_measures_are_proportional_to_the_mas(cache):
     assert header["truth"]["jsw_medial_mm"] == pytest.approx(5.0, abs=1e-3)
 
 
-def test_probed_path_lengths_equal_the_traced_ones(cache):
+def test_path_lengths_at_the_cursor_equal_traced_path_lengths(cache):
     handlers.handle_radiograph(cache, make_request())
     header, _ = handlers.handle_probe(cache, make_request(row=40, col=45))
     paths = pssf.trace(pssf.build(Knee()).scene, make_small_protocol(), engine=ENGINE).path_mm
@@ -220,12 +220,13 @@ def test_served_masks_equal_those_of_the_truth(cache):
         assert (got.reshape(SIDE, SIDE) == mask).all()
 
 
-def test_the_3d_view_contains_beam_and_detector_at_their_location(cache):
+def test_the_3d_view_contains_beam_and_detector_at_their_locations(cache):
     _, content = handlers.handle_solids(cache, make_request())
     page = content.decode()
     data = json.loads(page.split('id="data">')[1].split("</script>")[0])
     low, high = np.array(data["bounds"])
-    assert high[1] == pytest.approx(200.0 + knee_viewer._PLATE_MM)  # the detector plane plus the detector's thickness
+    # The upper bound is the detector plane plus the thickness of the detector.
+    assert high[1] == pytest.approx(200.0 + knee_viewer._PLATE_MM)
     assert high[0] - low[0] == pytest.approx(307.2)
     assert {"beam", "detector"} <= {layer["label"] for layer in data["layers"]}
     assert data["radiograph"] is None
@@ -385,8 +386,8 @@ HOSTILE = {
     "another token": (("GET", "", None, {}), {"base": "x" * 32}, 403, "token must be"),
     "no token": (("GET", "", None, {}), {"base": "fields"}, 403, "token must be"),
     "another host": (("GET", "", None, {"Host": "evil.example:80"}), {}, 403, "got 'evil.example:80'"),
-    "another origin": (("POST", "draw", STATE, {"Origin": "http://evil.example"}), {}, 403, "the page itself, got 'http://evil"),
-    "a null origin": (("POST", "draw", STATE, {"Origin": "null"}), {}, 403, "the page itself, got 'null'"),
+    "another origin": (("POST", "draw", STATE, {"Origin": "http://evil.example"}), {}, 403, "the explore page, got 'http://evil"),
+    "a null origin": (("POST", "draw", STATE, {"Origin": "null"}), {}, 403, "the explore page, got 'null'"),
     "another site": (("POST", "draw", STATE, {"Sec-Fetch-Site": "same-site"}), {}, 403, "same-origin, got 'same-site'"),
     "no JSON": (("POST", "answer/radiograph", b"{", {}), {}, 400, "got 1 bytes"),
     "not UTF-8": (("POST", "answer/radiograph", b'{"tab": "\xff"}', {}), {}, 400, "request must be JSON"),
@@ -456,7 +457,8 @@ def test_a_chunked_request_body_is_limited_in_size(site):
     with socket.create_connection(("127.0.0.1", site.port), timeout=60) as raw:
         head = f"POST /{site.token}/draw HTTP/1.1\r\nHost: 127.0.0.1:{site.port}\r\nContent-Type: application/json\r\n"
         raw.sendall((head + "Transfer-Encoding: chunked\r\nConnection: close\r\n\r\n").encode())
-        with suppress(OSError):  # the server may close the connection before all is sent
+        # The server may close the connection before the entire body is sent.
+        with suppress(OSError):
             for _ in range(70):
                 raw.sendall(b"400\r\n" + b" " * 1024 + b"\r\n")
         answer = raw.recv(4096).decode()
@@ -505,15 +507,15 @@ def test_an_occupied_port_gives_a_one_line_error(site):
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_without_the_extra_the_error_names_the_missing_packages(monkeypatch):
+def test_the_error_for_a_missing_extra_names_its_packages(monkeypatch):
     from pssf import explore
 
     monkeypatch.setattr(explore, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"explore needs starlette, uvicorn, tomli_w, not installed"):
+    with pytest.raises(InputError, match=r"explore requires starlette, uvicorn, tomli_w, not installed"):
         explore.require_extra()
 
 
-def test_spectra_are_prefetched_from_the_protocols_voltage_outwards(monkeypatch):
+def test_spectra_are_prefetched_outwards_from_the_protocol_voltage(monkeypatch):
     beams = []
     monkeypatch.setattr(prefetch.os, "nice", lambda by: None)
     monkeypatch.setattr(prefetch.signal, "signal", lambda *given: None)
@@ -523,7 +525,7 @@ def test_spectra_are_prefetched_from_the_protocols_voltage_outwards(monkeypatch)
     assert sorted(kv for kv, _, _ in beams) == list(range(40, 121))
 
 
-def test_a_closed_worker_ends_waiting_requests_and_rejects_new_ones():
+def test_closing_a_worker_ends_waiting_requests_and_rejects_new_ones():
     worker = Worker()
     with ThreadPoolExecutor(1) as executor:
         waiting = executor.submit(worker.ask, "radiograph", make_request())

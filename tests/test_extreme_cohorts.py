@@ -61,12 +61,12 @@ def test_three_subjects_per_grade_are_accepted_and_two_are_rejected():
         evaluate_split(0, table=make_feature_table(2), names=NAMES, settings=LIGHT)
 
 
-def test_one_subject_per_grade_is_rejected_with_the_grade():
+def test_the_error_for_a_single_subject_of_a_grade_names_the_grade():
     with pytest.raises(InputError, match=r"grade 0 must have at least 3 subjects .*got 1"):
         evaluate_split(0, table=make_feature_table(1), names=NAMES, settings=LIGHT)
 
 
-def test_a_grade_missing_from_a_test_set_gives_nan_only_there():
+def test_a_grade_missing_from_a_test_set_gives_nan_only_for_that_set():
     cohort = make_feature_table(6)
     split = split_subjects(cohort["subject"], cohort["grade"], seed=0)
     missing = cohort["subject"].isin(split.test) & (cohort["grade"] == 2) & (cohort["protocol"] == "other")
@@ -82,7 +82,7 @@ def test_a_grade_missing_from_a_test_set_gives_nan_only_there():
     assert difference[["difference", "p", "p_holm"]].isna().all(axis=None)
 
 
-def test_a_grade_missing_from_training_omits_that_training_protocol():
+def test_a_protocol_lacking_a_grade_in_training_is_omitted():
     cohort = make_feature_table(6)
     split = split_subjects(cohort["subject"], cohort["grade"], seed=0)
     missing = cohort["subject"].isin(split.training) & (cohort["grade"] == 2) & (cohort["protocol"] == "reference")
@@ -120,7 +120,7 @@ def test_perfectly_separable_grades_give_an_auc_of_one_without_width():
     assert (two["p_holm"] == 1).all()
 
 
-def test_missing_test_values_are_imputed_and_training_ones_drop_features():
+def test_missing_test_values_are_imputed_but_training_values_are_not():
     cohort = make_feature_table(6)
     split = split_subjects(cohort["subject"], cohort["grade"], seed=0)
     for part, used in ((split.test, True), (split.training, False)):
@@ -132,7 +132,7 @@ def test_missing_test_values_are_imputed_and_training_ones_drop_features():
         assert ("glcm_a" in set(of_reference["feature"])) == used
 
 
-def test_a_knee_that_is_not_located_is_counted_and_excluded():
+def test_a_knee_whose_joint_is_not_located_is_counted_and_excluded():
     cohort = make_feature_table(6).assign(status="found", score=0.9)
     cohort = cohort.assign(error_px=1.0, error_mm=0.1, error_row_mm=0.1, error_col_mm=0.1)
     missing = cohort["knee"] == 5

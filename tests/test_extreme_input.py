@@ -1,4 +1,4 @@
-"""Check that integers of thousands of digits, very long paths and unknown elements give one readable error line."""
+"""Check that huge integers, very long paths and unknown elements give a readable one-line error."""
 
 import dataclasses
 
@@ -86,7 +86,7 @@ def test_a_path_of_thousands_of_characters_gives_a_one_line_error(tmp_path, monk
     run_with_error(*arguments)
 
 
-def test_error_messages_shorten_long_words_but_not_usual_paths():
+def test_error_messages_shorten_long_words_but_not_typical_paths():
     usual = "/".join(["folder_of_a_long_name"] * 20)
     assert format_one_line(usual) == usual
     assert format_one_line(f"file {PATH} is") == f"file {'p' * 80}...(5000 characters)...{'p' * 80} is"
@@ -94,9 +94,9 @@ def test_error_messages_shorten_long_words_but_not_usual_paths():
 
 def test_error_messages_state_the_digit_count_of_huge_integers():
     assert format_value(7) == "7"
-    assert format_value(16**5000) == "an integer of some 6021 digits"
+    assert format_value(16**5000) == "an integer of about 6021 digits"
     assert "more than 4300 digits" in format_value([16**5000])
-    with pytest.raises(pssf.InputError, match=r"seed must be .*, got an integer of some 6021 digits"):
+    with pytest.raises(pssf.InputError, match=r"seed must be .*, got an integer of about 6021 digits"):
         require_integer("seed", 16**5000, 0, 9, "")
 
 

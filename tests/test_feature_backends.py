@@ -1,4 +1,4 @@
-"""Check the selection of the radiomics backend and the shape features that the package measures itself."""
+"""Check the selection of the radiomics backend and the shape features that the package computes without a backend."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ from pssf.radiomics.features.feature_table import ExtractionSettings, hash_setti
 
 @pytest.fixture
 def set_installed(monkeypatch):
-    """Return a function that pretends that only the named backends are installed."""
+    """Return a function that simulates an environment in which only the named backends are installed."""
     return lambda *names: monkeypatch.setattr(feature_backends, "is_installed", lambda name: name in names)
 
 
@@ -33,7 +33,7 @@ def test_the_default_backend_is_pyradiomics_if_installed_otherwise_mirp(set_inst
     assert default_backend() == ExtractionSettings().backend == study.StudySettings().backend == "mirp"
 
 
-def test_without_a_backend_the_error_names_both_and_the_install_command(set_installed):
+def test_the_error_without_a_backend_names_both_and_how_to_install_one(set_installed):
     set_installed()
     with pytest.raises(InputError, match=r"pyradiomics or mirp\) is installed: .* pip install 'pssf\[study\]'"):
         study.require_extra()
@@ -41,7 +41,7 @@ def test_without_a_backend_the_error_names_both_and_the_install_command(set_inst
 
 def test_a_missing_or_unknown_backend_is_rejected(set_installed):
     set_installed("pyradiomics")
-    with pytest.raises(InputError, match=r"backend must be one that is installed \(pyradiomics\), got 'mirp'"):
+    with pytest.raises(InputError, match=r"backend must be an installed backend \(pyradiomics\), got 'mirp'"):
         study.StudySettings(backend="mirp")
     with pytest.raises(InputError, match=r"backend must be one of pyradiomics, mirp.*, got 'radiomic'"):
         require_backend("radiomic")
@@ -65,10 +65,10 @@ def test_the_settings_hash_depends_on_the_version_of_its_backend_only(monkeypatc
     assert hash_settings([TEMPLATE], extraction) != before
 
 
-def test_another_backend_serves_a_model_only_if_it_has_its_features(set_installed):
+def test_a_model_accepts_another_backend_only_if_it_has_its_features(set_installed):
     set_installed("mirp")
     assert select_backend("pyradiomics", ["glcm_Contrast", "shape2D_Perimeter"], "model a") == "mirp"
-    expected = "model a needs glcm_MCC, which backend mirp does not have: install pyradiomics"
+    expected = "model a needs glcm_MCC, which backend mirp does not measure: install pyradiomics"
     with pytest.raises(InputError, match=expected):
         select_backend("pyradiomics", ["glcm_Contrast", "glcm_MCC"], "model a")
     set_installed("pyradiomics", "mirp")
@@ -111,13 +111,13 @@ def test_shape_features_of_a_disc_match_a_circle():
     assert_allclose(found["Elongation"], 1, rtol=1e-9)
 
 
-def test_an_empty_mask_has_the_same_shape_features_all_nan():
+def test_all_shape_features_of_an_empty_mask_are_nan():
     nothing, one = (shape2d.measure_shape(np.full((4, 4), kind), 1.0) for kind in (False, True))
     assert list(nothing) == list(one)
     assert np.isnan(list(nothing.values())).all()
 
 
-def test_diagonally_adjacent_pixels_count_as_two_bodies():
+def test_diagonally_adjacent_pixels_count_as_two_components():
     one, two = shape2d.measure_shape(np.eye(1, dtype=bool), 1.0), shape2d.measure_shape(np.eye(2, dtype=bool), 1.0)
     assert two["MeshSurface"] == 2 * one["MeshSurface"] == 1.0
     assert two["Perimeter"] == 2 * one["Perimeter"]

@@ -36,7 +36,7 @@ def compute_glcm(region: np.ndarray, **options) -> dict[str, float]:
     return {f"glcm_{name}": float(value) for name, value in found.execute().items()}
 
 
-def test_features_equal_true_2d_ones_whereas_force2d_would_differ():
+def test_features_equal_true_2d_features_but_not_those_with_force2d():
     region = np.pad(make_texture(48, 2), 1, mode="edge")
     ours = extract_features(region[1:-1, 1:-1], 0.15, load_ibsi_tags())
     right, wrong = compute_glcm(region), compute_glcm(region, force2D=True, force2Ddimension=0)
@@ -80,7 +80,8 @@ def test_shared_binning_gives_the_same_features_as_separate_binning(monkeypatch)
         region = make_texture(size, seed)
         binned.clear()
         whole = extract_features(region, 0.15, load_ibsi_tags())
-        assert len(binned) == 2  # one for first order, one for all textures
+        # Grey values are binned once for first-order features and once for all texture families.
+        assert len(binned) == 2
         square = np.ones(region.shape, np.uint8)
         z = (region - region.mean()) / region.std()
         alone = {"firstorder_linear": (firstorder.RadiomicsFirstOrder, region)}
@@ -93,7 +94,7 @@ def test_shared_binning_gives_the_same_features_as_separate_binning(monkeypatch)
             assert len(expected) - len(ours) == (4 if name == "firstorder_z" else 0)
 
 
-def test_omitted_families_are_not_computed_and_change_no_other(monkeypatch):
+def test_omitting_feature_families_does_not_change_the_others(monkeypatch):
     region = make_texture(32, 1)
     whole = extract_features(region, 0.15, load_ibsi_tags())
     assert {feature_family(name) for name in whole} == set(FAMILIES)

@@ -1,4 +1,4 @@
-"""Listing of the fields of a knee and a protocol, and settings by name on the command line."""
+"""Check the lists of knee and protocol fields, and field settings on the command line."""
 
 import dataclasses
 import tomllib

@@ -62,7 +62,7 @@ def write_metadata_text(path, text):
 
 
 def convert_to_earlier_version(path):
-    """Convert metadata to an earlier version, which had one hash of all other fields and the pixels."""
+    """Convert metadata to an earlier version, which had a single hash for all fields and pixels."""
     from pssf.io import metadata
 
     fields = json.loads(read_metadata_text(path))
@@ -90,7 +90,7 @@ def test_altered_parameters_are_rejected(folder, name, old, new):
     text = read_metadata_text(folder / name)
     assert old in text
     write_metadata_text(folder / name, text.replace(old, new, 1))
-    with pytest.raises(pssf.InputError, match=r"must be as pssf wrote them .* got "):
+    with pytest.raises(pssf.InputError, match=r"do not match their hash .* recorded "):
         pssf.load_parameters(folder / name)
 
 
@@ -105,7 +105,7 @@ def test_parameters_of_an_earlier_version_are_verified_or_give_a_warning(folder,
         with pytest.raises(pssf.InputError, match="damaged"):
             pssf.load_parameters(folder / name)
         return
-    with pytest.warns(pssf.UnverifiedNotice, match=rf"{name}: its parameters have no hash"):
+    with pytest.warns(pssf.UnverifiedNotice, match=rf"{name}: the parameters have no hash"):
         pssf.load_parameters(folder / name)
 
 
@@ -115,14 +115,14 @@ def test_a_flipped_bit_of_a_segmentation_is_rejected(radiograph, tmp_path, offse
     content = bytearray(path.read_bytes())
     content[offset] ^= 4
     path.write_bytes(content)
-    with pytest.raises(pssf.InputError, match="masks must be as pssf wrote them"):
+    with pytest.raises(pssf.InputError, match="masks do not match their hash"):
         pssf.load_masks(path)
 
 
 def test_a_renamed_segment_is_rejected(radiograph, tmp_path):
     path = pssf.save_masks(radiograph, tmp_path / "m.dcm")
     path.write_bytes(path.read_bytes().replace(b"patella", b"fabella", 1))
-    with pytest.raises(pssf.InputError, match="masks must be as pssf wrote them"):
+    with pytest.raises(pssf.InputError, match="masks do not match their hash"):
         pssf.load_masks(path)
 
 
@@ -134,19 +134,19 @@ def test_a_segmentation_of_an_earlier_version_is_verified_by_its_uid(radiograph,
     item.SOPInstanceUID = item.file_meta.MediaStorageSOPInstanceUID = uid or item.SOPInstanceUID
     item.save_as(path)
     if uid:
-        with pytest.warns(pssf.UnverifiedNotice, match="its masks have no hash"):
+        with pytest.warns(pssf.UnverifiedNotice, match="the masks have no hash"):
             pssf.load_masks(path)
         return
     masks = pssf.load_masks(path)
     assert all(np.array_equal(masks[name], mask) for name, mask in radiograph.truth.masks.items())
     item.PixelData = item.PixelData[:-3] + b"\1\2\3"
     item.save_as(path)
-    with pytest.raises(pssf.InputError, match="masks must be as pssf wrote them"):
+    with pytest.raises(pssf.InputError, match="masks do not match their hash"):
         pssf.load_masks(path)
 
 
 def rewrite_mask_tiff(path, change):
-    """Change header and pages of a mask TIFF so that it stays a valid TIFF."""
+    """Change the header and pages of a mask TIFF, and write a valid TIFF."""
     with tifffile.TiffFile(path) as tiff:
         header = json.loads(tiff.pages[0].description)
         pages = [page.asarray() for page in tiff.pages]
@@ -170,13 +170,13 @@ def test_an_altered_mask_tiff_is_rejected(radiograph, tmp_path, which):
 
     path = pssf.save_masks(radiograph, tmp_path / "m.tif")
     rewrite_mask_tiff(path, change)
-    with pytest.raises(pssf.InputError, match="masks must be as pssf wrote them"):
+    with pytest.raises(pssf.InputError, match="masks do not match their hash"):
         pssf.load_masks(path)
 
 
 def test_a_mask_tiff_of_an_earlier_version_gives_a_warning(radiograph, tmp_path):
     path = pssf.save_masks(radiograph, tmp_path / "m.tif")
     rewrite_mask_tiff(path, lambda header, pages: header.pop("sha256"))
-    with pytest.warns(pssf.UnverifiedNotice, match=r"m\.tif: its masks have no hash"):
+    with pytest.warns(pssf.UnverifiedNotice, match=r"m\.tif: the masks have no hash"):
         masks = pssf.load_masks(path)
     assert all(np.array_equal(masks[name], mask) for name, mask in radiograph.truth.masks.items())

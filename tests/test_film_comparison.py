@@ -1,4 +1,4 @@
-"""Normalised films: outlines, features, domain shift, the page."""
+"""Check the comparison of simulated and patient films: outlines, features, domain shift and the page."""
 
 import dataclasses
 from pathlib import Path
@@ -38,7 +38,7 @@ HALF_MM = PLATEAU_MM / 2
 
 
 def render_knee(pixel_mm=0.3, gap_mm=5.0, notch_mm=12.0, rows=500, cols=520, size=1.0, side="right"):
-    """Render a film of simple shapes around its centre: tibia, femur with a notch, and soft tissue."""
+    """Render a film with simple shapes around the centre: tibia, femur with a notch, and soft tissue."""
     y, x = np.mgrid[:rows, :cols] * pixel_mm
     x = (x - (cols - 1) * pixel_mm / 2) / size
     y = (y - (rows - 1) * pixel_mm / 2) / size
@@ -80,7 +80,7 @@ def test_split_half_reliability_follows_spearman_and_brown():
 
 
 def test_in_bone_contact_the_femur_contour_ends_at_the_tibia():
-    """The tibia is sclerotic, and a band of the femur 12 mm above the joint is darker than its surroundings."""
+    """Check a film with a sclerotic tibia and a darker band in the femur 12 mm above the joint."""
     film = render_knee(gap_mm=5.0)
     y, x = (np.mgrid[:500, :520] - [[[249.5]], [[259.5]]]) * 0.3
     worn = (x > 12.0) & (x < HALF_MM - 1.0)
@@ -156,7 +156,7 @@ def test_normalised_films_do_not_depend_on_side_size_and_pitch(side, size, pixel
 
 
 def test_a_binned_film_equals_one_with_larger_pixels():
-    """Crops are binned before normalisation; positions are reported in pixels of the original film."""
+    """Check that films are binned before normalisation, and positions are in pixels of the original film."""
     fine, coarse = (
         render_knee(pixel_mm=pixel_mm, rows=rows, cols=rows) for pixel_mm, rows in ((0.15, 1020), (0.45, 340))
     )
@@ -172,7 +172,7 @@ def test_a_binned_film_equals_one_with_larger_pixels():
     assert values["pitch_mm"] == pytest.approx(plain["pitch_mm"], rel=0.02)
     assert abs(values["joint_row_px"] - plain["joint_row_px"]) < 5
     assert abs(values["joint_col_px"] - plain["joint_col_px"]) < 5
-    # Removing 90 rows at the top moves the joint 45 pixels towards the top relative to the centre.
+    # Removing 90 rows at the top moves the joint up by 45 pixels relative to the image centre.
     cut = measure_located_film(fine[90:], dataclasses.replace(locate_centre(fine, 0.15), row=509.5 - 90), 0.15)
     down = [one["tone|joint_offset_down_mm"] for one in (plain, cut)]
     assert down[0] - down[1] == pytest.approx(45 * plain["pitch_mm"], abs=0.2)
@@ -184,9 +184,9 @@ def test_a_binned_film_equals_one_with_larger_pixels():
 
 @pytest.mark.parametrize("side", [1.0, 2.5, 3.0, 3.37])
 def test_area_means_over_squares_of_fractional_size_are_exact(side):
-    """The mean of a plane over a square is its central value; the sum of a single bright pixel is kept."""
+    """Check that area means of a linear ramp are exact, and that the sum of a single bright pixel is preserved."""
     rows, cols = np.mgrid[:40, :31].astype(float)
-    # A pixel holds the mean of its area, so a plane is a step function: only squares of whole pixels are exact.
+    # Pixels are constant over their area, so means of a ramp are exact only over squares of whole pixels.
     means = downsample_by_area(2.0 * rows - 3.0 * cols, side)
     middle = (np.arange(40) + 0.5) * side - 0.5
     plane = 2.0 * middle[: len(means), None] - 3.0 * middle[None, : means.shape[1]]
@@ -199,7 +199,7 @@ def test_area_means_over_squares_of_fractional_size_are_exact(side):
     assert np.allclose(downsample_by_area(whole, 3.0), downsample_by_blocks(whole, 3))
 
 
-def test_simulated_films_are_resampled_to_the_pixel_sizes_of_patient_films():
+def test_simulated_films_are_resampled_to_patient_pixel_sizes():
     films = tuple(
         Film(file=f"{n}.tif", grade=n % 5, subject="1", side=None, pixel_mm=0.15, sha256="") for n in range(40)
     )
@@ -233,7 +233,7 @@ def test_a_film_without_contrast_raises_an_error():
         stretch_contrast(np.full((20, 20), 0.4))
 
 
-def test_the_cheapest_path_equals_that_of_an_exhaustive_search():
+def test_the_cheapest_path_equals_that_found_by_exhaustive_search():
     cost = np.random.default_rng(4).random((5, 4))
     path = find_cheapest_path(cost, 1)
     paths = np.stack(np.meshgrid(*4 * [np.arange(5)], indexing="ij"), axis=-1).reshape(-1, 4)
@@ -244,7 +244,7 @@ def test_the_cheapest_path_equals_that_of_an_exhaustive_search():
 
 
 def make_film_features(name, count, shift=0.0, effect=1.0, seed=0):
-    """Make features in two groups; `shift` is added to one of them, and `effect` to another one in grade 2."""
+    """Make three features in two groups; `shift` is added to one feature, and `effect` to another one in grade 2."""
     rng = np.random.default_rng(seed)
     grades = np.repeat([0, 2], count // 2)
     values = rng.standard_normal((count, 3))
@@ -260,18 +260,19 @@ def make_film_features(name, count, shift=0.0, effect=1.0, seed=0):
 SAMPLING = {"replicates": 200, "seed": 0}
 
 
-def test_only_the_feature_group_that_differs_separates_the_sources():
+def test_only_the_shifted_feature_group_separates_the_sources():
     rows = domain_shift.measure_source_separability(
         make_film_features("a", 120), make_film_features("b", 120, shift=4.0, seed=1), **SAMPLING
     )
     auc = {row["group"]: row["auc"] for row in rows}
     assert auc["texture"] > 0.98
-    assert abs(auc["shape"] - 0.5) < 0.15  # 3.5 standard errors
+    # The tolerance is 3.5 standard errors of the AUC.
+    assert abs(auc["shape"] - 0.5) < 0.15
     assert rows[0]["leading_features"].startswith("texture a 1.00")
     assert all(row["low"] <= row["auc"] <= row["high"] for row in rows)
 
 
-def test_a_model_transfers_if_the_effect_of_grade_has_the_same_sign():
+def test_a_model_transfers_if_grade_effects_have_the_same_sign():
     real = make_film_features("real", 160, effect=2.0)
     for effect, same in ((2.0, True), (-2.0, False)):
         simulated = make_film_features("simulated", 160, effect=effect, seed=2)
@@ -304,7 +305,7 @@ def test_grade_effects_correlate_if_they_have_the_same_sign():
         assert_allclose([one["patient_effect"] for one in rows], by_hand, atol=1e-4)
 
 
-def test_no_fraction_of_the_gain_is_given_if_real_films_have_none():
+def test_no_fraction_of_the_gain_is_reported_if_patient_films_show_none():
     row = domain_shift.measure_transfer(
         make_film_features("real", 80, effect=0.0), make_film_features("s", 80), low=0, high=(2,), **SAMPLING
     )[0]
@@ -313,7 +314,7 @@ def test_no_fraction_of_the_gain_is_given_if_real_films_have_none():
 
 
 @pytest.mark.parametrize(("spread", "least", "most"), [(1.5, 0.95, 1.0), (0.0, 0.0, 0.5)])
-def test_reliability_limits_the_correlation_of_grade_effects(spread, least, most):
+def test_the_correlation_of_grade_effects_is_limited_by_reliability(spread, least, most):
     def make_films(name, seed):
         rng, shifts = np.random.default_rng(seed), np.random.default_rng(9).normal(0.0, spread, 40)
         grades = np.repeat([0, 2], 60)
@@ -325,7 +326,7 @@ def test_reliability_limits_the_correlation_of_grade_effects(spread, least, most
     assert least <= groups[-1]["max_r"] <= most
 
 
-def test_the_highest_simulated_grade_replaces_missing_grades():
+def test_the_highest_simulated_grade_replaces_missing_simulated_grades():
     real, simulated = make_film_features("real", 80), make_film_features("simulated", 80, seed=2)
     real = dataclasses.replace(real, grades=np.where(real.grades == 2, 3, 0))
     row = domain_shift.measure_transfer(real, simulated, low=0, high=(3, 4), **SAMPLING)[0]
@@ -355,7 +356,8 @@ def test_cross_validation_keeps_both_knees_of_a_subject_together():
     fingerprint = pd.DataFrame(rng.standard_normal((60, 30))[subjects])
     truth = np.repeat(rng.random(60) < 0.5, 2)
     value = domain_shift.cross_validate(fingerprint, truth, subjects, 0)
-    assert abs(domain_shift.auc(truth, value) - 0.5) < 0.25  # leakage gives 1
+    # Leakage between the knees of a subject would give an AUC of 1.
+    assert abs(domain_shift.auc(truth, value) - 0.5) < 0.25
 
 
 def make_records(source, count, grades=(0, 2)):
@@ -384,7 +386,7 @@ def test_the_films_section_has_counts_comparisons_and_figures():
     }  # fmt: skip
     ratios = {row["measure"]: row for row in tables["outline_ratios"]}
     assert {"notch_depth", "metaphysis_width", "medial_tibia_8mm"} <= ratios.keys()
-    # Both sources are the same film with noise of the same size.
+    # Both sources contain the same film with noise of the same SD.
     notch = ratios["notch_depth"]
     assert (notch["patients"], notch["simulated"]) == (24, 24)
     assert abs(notch["difference_sd"]) < 4 * np.sqrt(2 / 24)
@@ -394,7 +396,7 @@ def test_the_films_section_has_counts_comparisons_and_figures():
     assert all(figure.png.startswith(b"\x89PNG") for figure in section.figures)
 
 
-def test_the_page_contains_its_content_and_loads_nothing():
+def test_the_comparison_page_is_self_contained():
     picture = Picture(
         name="p", png=make_contact_sheet([("row", [np.zeros((8, 9), np.uint8)])]), alt="alt <text>", caption="c"
     )
@@ -409,7 +411,7 @@ def test_the_page_contains_its_content_and_loads_nothing():
     assert "http" not in page.replace("http-equiv", "")
 
 
-def test_the_observer_sheet_has_equal_numbers_of_both_sources():
+def test_the_observer_sheet_has_equal_numbers_of_films_from_both_sources():
     def make_record(number, status="found"):
         return {"status": status, "file": f"{number}.png", "grade": number % 5}
 

@@ -44,7 +44,7 @@ def test_an_ambiguous_file_name_gives_no_side(stem):
     assert parse_subject_and_side(stem) == (stem, None)
 
 
-def test_a_file_named_by_side_takes_its_subject_from_the_folder(tmp_path):
+def test_the_subject_of_a_file_named_by_side_is_the_folder_name(tmp_path):
     for name in ("P1/left.png", "P1/right.png", "P2/left.png"):
         write_film(tmp_path / name)
     (tmp_path / "P2" / "left.png").write_bytes((tmp_path / "P1" / "right.png").read_bytes()[:-1] + b"x")
@@ -62,7 +62,7 @@ def test_hidden_and_lock_files_are_not_listed(tmp_path):
     (tmp_path / "FILMS.CSV").write_text("file\n0/7.png\n")
     assert [film.grade for film in list_films(tmp_path)] == [
         None
-    ]  # the table is read in spite of its upper-case suffix
+    ]  # the table is read although its suffix is upper-case
 
 
 def test_hidden_files_are_not_read_as_bones(tmp_path):
@@ -83,7 +83,7 @@ def test_dicom_files_are_found_with_any_file_name(tmp_path):
     assert all(np.array_equal(read_film(tmp_path / film.file).pixels, expected.pixels) for film in films[:2])
 
 
-def test_a_grade_written_as_a_float_is_read_as_a_whole_number(tmp_path):
+def test_a_grade_written_as_a_float_is_read_as_an_integer(tmp_path):
     for name in ("a.png", "b.png"):
         write_film(tmp_path / name)
     (tmp_path / "films.csv").write_text("file,grade,subject\na.png,2.0,9003175.0\nb.png,,\n")
@@ -110,9 +110,9 @@ def test_every_table_reader_rejects_a_duplicate_column(read, tmp_path):
     write_film(tmp_path / "a.png")
     path = tmp_path / "films.csv"
     path.write_text("file,grade,grade\na.png,2,3\n")
-    with pytest.raises(InputError, match="column 'grade' must be given once, got it 2 times"):
+    with pytest.raises(InputError, match="column name 'grade' must be unique, got 2 columns"):
         read(path)
-    # A condition on such a table is not met.
+    # A checklist condition on a table with duplicate columns is not met.
     assert file_conditions.find_unmet_condition(tmp_path, "films.csv grade = 3")
 
 

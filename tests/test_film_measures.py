@@ -1,4 +1,4 @@
-"""Grey values, margins and contours of synthetic films with known geometry and grey values."""
+"""Check measures of grey values, margins and contours on synthetic films with known geometry and grey values."""
 
 import dataclasses
 
@@ -26,7 +26,7 @@ SOFT, BONE, SPACE, PLATE, CORTEX, CANAL = 0.2, 0.6, 0.3, 0.95, 0.8, 0.4
 
 
 def make_outline(gap_px=GAP, flank_mm=HALF_MM, femur_mm=HALF_MM):
-    """Make the outline of two blocks with given half widths of the tibial flank and the femur."""
+    """Make the outline of two blocks with specified half widths of the femur and the lower part of the tibia."""
     heights = np.arange(3.0, 24.0, PITCH_MM)
     tibia_mm = np.where(heights < 9, HALF_MM, flank_mm)
     columns = COL + np.arange(-78.0, 79.0)
@@ -40,7 +40,7 @@ def make_outline(gap_px=GAP, flank_mm=HALF_MM, femur_mm=HALF_MM):
 
 
 def render_film(pixel_mm=0.2, rows=700, side="right"):
-    """Render two blocks of bone, the lower with a subchondral plate and a shaft; return the film and the joint."""
+    """Render two blocks of bone, the lower one with a subchondral plate and a shaft; return film and joint position."""
     joint = JointPosition(row=230.0, col=259.5, side=side, pitch_mm=pixel_mm)
     y, x = (np.arange(rows) - joint.row)[:, None] * pixel_mm, (np.arange(520) - joint.col) * pixel_mm
     x, gap_mm = (x if side == "right" else -x), GAP * PITCH_MM
@@ -54,7 +54,7 @@ def render_film(pixel_mm=0.2, rows=700, side="right"):
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_tones_equal_the_ratios_of_the_rendered_grey_values(side):
+def test_tone_features_equal_the_ratios_of_the_rendered_grey_values(side):
     film, joint = render_film(side=side)
     values = measure_tone(film, resample_joint_field(film, joint), make_outline(), joint)
     assert values["bone_to_soft_tissue_ratio"] == pytest.approx(BONE / SOFT)
@@ -101,7 +101,7 @@ def test_a_bright_line_is_detected_in_its_compartment_and_bone(bone, above_mm, s
     assert all(values[name] < 1.2 * plain[name] for name in others)
 
 
-def test_tones_do_not_depend_on_contrast_and_brightness():
+def test_tone_features_do_not_depend_on_contrast_and_brightness():
     film, joint = render_film()
     values, brighter = (
         measure_tone(one, resample_joint_field(one, joint), make_outline(), joint) for one in (film, 2 * film + 0.1)
@@ -115,7 +115,7 @@ def test_tones_do_not_depend_on_contrast_and_brightness():
     assert brighter["bone_to_soft_tissue_ratio"] == pytest.approx((2 * BONE + 0.1) / (2 * SOFT + 0.1))
 
 
-def test_a_film_without_the_shaft_has_only_contrasts():
+def test_a_film_without_the_shaft_has_no_tone_features_but_contrasts():
     film, joint = render_film(rows=500)
     values = measure_tone(film, resample_joint_field(film, joint), make_outline(), joint)
     assert set(values) == {"bone_to_soft_tissue_ratio", "joint_space"}
@@ -135,7 +135,7 @@ def test_fine_texture_of_a_wave_has_the_moments_and_direction_of_a_sine(transpos
     film, joint = make_waves(0.1, 8 / PATCH_MM)
     values = measure_fine_texture(film.T if transposed else film, make_outline(), joint, 0.1)
     for name in PATCHES:
-        # With 8 waves detrending removes 1 % of the variance, and interpolation 1 % of the amplitude.
+        # With 8 waves per patch, detrending removes 1 % of the variance, and interpolation 1 % of the amplitude.
         assert values[f"{name}_sd_over_mean"] == pytest.approx(0.1 / np.sqrt(2) / 0.5, rel=0.02)
         assert values[f"{name}_skewness"] == pytest.approx(0.0, abs=0.05)
         assert values[f"{name}_excess_kurtosis"] == pytest.approx(-1.5, abs=0.05)
@@ -150,7 +150,7 @@ def test_the_slope_of_a_power_law_spectrum_is_its_exponent():
     film = np.fft.ifft2(noise / np.maximum(radius, 0.02) ** 1.5).real
     joint = JointPosition(row=499.5, col=499.5, side="right", pitch_mm=pixel_mm)
     values = measure_fine_texture(10 + film / film.std(), make_outline(), joint, pixel_mm)
-    # The low frequencies have few samples: the SD of one patch is 0.13 (36 patches), of the mean of three 0.08.
+    # Low frequencies have few samples: the SD of the slope is 0.13 for one patch and 0.08 for the mean of three.
     assert np.mean([values[f"{name}_slope_0.2_2"] for name in PATCHES]) == pytest.approx(-3.0, abs=0.25)
 
 
@@ -162,7 +162,7 @@ def test_fine_texture_needs_a_pitch_of_at_most_0_25_mm(pixel_mm, measured):
     assert measured or values == {}
 
 
-def test_a_patch_beyond_the_film_border_is_left_out():
+def test_a_patch_beyond_the_film_border_is_omitted():
     film, joint = make_waves(0.2, 0.5)
     cut = film[: round(joint.row + 20 / 0.2)]
     regions = {
@@ -172,7 +172,7 @@ def test_a_patch_beyond_the_film_border_is_left_out():
     assert regions == {"medial_condyle"}
 
 
-def test_brightness_and_geometry_of_a_band_below_a_contour_are_measured():
+def test_brightness_depth_and_width_of_a_subchondral_band_are_measured():
     form, outline = np.full(SHAPE, 100.0), make_outline()
     tibia, femur = int(outline.tibia[0]), int(outline.femur[0])
     form[tibia + 3 : tibia + 7, COL:] = 150.0
@@ -199,12 +199,12 @@ def test_first_order_features_cover_the_whole_film_and_each_patch():
         assert (values[f"{name}_mean"], values[f"{name}_sd"]) == (150.0, 0.0)
 
 
-def test_co_occurrence_of_one_pixel_lines_does_not_depend_on_tone():
+def test_co_occurrence_features_of_lines_do_not_depend_on_grey_scale():
     form = np.where(np.arange(SHAPE[1]) % 2, 100.0, 40.0) * np.ones((SHAPE[0], 1))
     values, darker = (measure_grey_features(one, make_outline())["texture"] for one in (form, np.sqrt(form)))
     for name in PATCHES:
         for distance in (1, 3):
-            # The correlation is -1 across and +1 along the lines; two cells of the matrix have half of the pairs each.
+            # The correlation is -1 across and +1 along the lines; two matrix cells each contain half of the pairs.
             assert values[f"{name}_correlation_{distance}"] == pytest.approx(0.0, abs=1e-9)
             assert values[f"{name}_energy_{distance}"] == pytest.approx(np.sqrt(0.5), abs=1e-3)
         assert values[f"{name}_contrast_1"] == values[f"{name}_contrast_3"] > 0
@@ -212,7 +212,7 @@ def test_co_occurrence_of_one_pixel_lines_does_not_depend_on_tone():
             assert darker[f"{name}_{key}_1"] == values[f"{name}_{key}_1"]
 
 
-def test_margins_measure_the_distance_of_the_sides_from_the_plateau_edge():
+def test_margins_measure_distances_of_bone_sides_from_the_plateau_edge():
     margins = measure_shape_features(make_outline(flank_mm=HALF_MM - 3, femur_mm=HALF_MM + 1.5))["margins"]
     for side in ("medial", "lateral"):
         for height, out_mm in ((4, 0.0), (8, 0.0), (12, -3.0), (18, -3.0)):
@@ -222,7 +222,7 @@ def test_margins_measure_the_distance_of_the_sides_from_the_plateau_edge():
         assert margins[f"{side}_femur_lip"] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_an_osteophyte_on_one_side_changes_only_the_margin_there():
+def test_a_medial_osteophyte_changes_only_the_medial_margin():
     outline = make_outline()
     sides = outline.tibia_sides.copy()
     sides[(outline.tibia_rows - outline.tibia_rows[0]) * PITCH_MM < 1.5, 1] += 2 / PITCH_MM

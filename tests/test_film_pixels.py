@@ -21,13 +21,13 @@ from pssf.io.patients.stored_pixels import read_stored_pixels
 
 GREY = (np.add.outer(np.arange(96), np.arange(128)) * 18).astype("<u2")
 PLAIN = GREY / 4095
-# The expected display of the window, clipped to black and white.
+# DICOM window and the expected display, clipped to the range from black (0) to white (1).
 WINDOW = {"WindowCenter": 2048, "WindowWidth": 2000}
 WINDOWED = np.clip((GREY - 2047.5) / 1999 + 0.5, 0, 1)
 
 
 def make_empty_lut():
-    """Return a LUT sequence whose item has no data."""
+    """Return a DICOM LUT sequence whose item has empty data."""
     item = Dataset()
     item.add_new(0x00283002, "SS", None)
     item.add_new(0x00283006, "OW", None)
@@ -105,7 +105,7 @@ def test_pixel_padding_does_not_affect_the_grey_scale(tmp_path, relationship):
     filled = pixels.copy()
     filled[0, 0] = padded[padded < 4095].max()
     np.testing.assert_array_equal(expected, read_film(write_dicom(tmp_path / "c.dcm", filled, **fields)).pixels)
-    # Without a padding value the same image has another grey scale.
+    # If the padding value is not declared, the same image has a different grey scale.
     without_padding_value = read_film(write_dicom(tmp_path / "d.dcm", padded, **fields)).pixels
     assert abs(expected[60:] - without_padding_value[60:]).max() > 0.01
 
@@ -182,7 +182,7 @@ def test_a_compressed_dicom_of_this_package_is_loaded(tmp_path, lossless):
 
 
 def make_tiff(bits, endian, photometric, compression, orientation=1):
-    """Return the bytes of a TIFF of one strip and its expected display from 0 (black) to 1."""
+    """Return the bytes of a single-strip TIFF, and the expected display from 0 (black) to 1 (white)."""
     grey = (GREY % 4096).astype(int) if bits == 12 else (GREY.astype(int) * 8191 % 2**bits)
     rows = ["".join(f"{value:0{bits}b}" for value in row) for row in grey]
     packed = b"".join(int(row + "0" * (-len(row) % 8), 2).to_bytes(-(-len(row) // 8), "big") for row in rows)
@@ -247,14 +247,14 @@ def test_an_unsupported_tiff_compression_is_named_in_the_error(tmp_path):
 
 
 @pytest.mark.parametrize("fields", [{"RescaleSlope": None, "RescaleIntercept": None}, {"RescaleSlope": 1}])
-def test_stored_values_ignore_an_incomplete_rescale(tmp_path, fields):
+def test_stored_pixel_values_do_not_depend_on_an_incomplete_rescale(tmp_path, fields):
     np.testing.assert_array_equal(read_stored_pixels(write_dicom(tmp_path / "a.dcm", **fields)).pixels, GREY)
 
 
-def test_stored_values_with_an_unsupported_syntax_are_rejected(tmp_path):
+def test_stored_pixels_with_an_unsupported_syntax_are_rejected(tmp_path):
     path = write_invalid_jpeg_ls(tmp_path / "a.dcm")
     item = pydicom.dcmread(path)
     item.file_meta.TransferSyntaxUID = "1.2.840.10008.1.2.4.94"
     item.save_as(path)
-    with pytest.raises(pssf.InputError, match="transfer syntax must be one that pydicom decodes to single images"):
+    with pytest.raises(pssf.InputError, match="transfer syntax must be one that pydicom can decode to single images"):
         read_stored_pixels(path)

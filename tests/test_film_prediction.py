@@ -1,4 +1,4 @@
-"""Prediction of films with a saved model: `pssf predict`."""
+"""Check predictions for films with a saved model (`pssf predict`)."""
 
 import dataclasses
 import io
@@ -85,7 +85,7 @@ def test_a_model_file_describes_the_images_it_was_trained_on(files):
 
 
 @pytest.mark.parametrize("severe", [False, True])
-def test_a_template_is_restored_unchanged_from_its_record(severe):
+def test_a_template_is_restored_unchanged_from_its_file_record(severe):
     kept = dataclasses.replace(
         block_knee_cohort.TEMPLATE, pixels=block_knee_cohort.TEMPLATE.pixels.astype(np.float32), severe=severe
     )
@@ -102,14 +102,14 @@ def test_skops_alone_loads_the_pipeline_of_a_model_file(files):
     assert b"pickle" not in content
 
 
-def test_prediction_of_a_linear_file_equals_that_of_the_study(film_study, files, linear):
+def test_predicting_a_linear_file_gives_the_features_of_the_study(film_study, files, linear):
     path, row = linear
     model = load_model(files["lr_l1_0v2_reference"])
     done = predict_films(model, [describe_film(path)], path.parent)
     measured = load_table(film_study.tables["features"], TEXT_COLUMNS).set_index("radiograph").loc[row["radiograph"]]
     features = list(model.card.features)
     assert done.warnings == ()
-    # The saved template is the one of the study, averaged and cropped.
+    # The saved template is the averaged and cropped template of the study.
     assert_allclose(done.table[features].iloc[0], measured[features].astype(float), rtol=1e-9)
     assert done.table["film_polarity"].iloc[0] == "linear"
     assert_allclose(done.table["p grade 0"] + done.table["p grade 2"], 1.0)
@@ -190,7 +190,7 @@ def test_the_command_writes_a_table_an_image_and_a_line_per_film(files, tmp_path
     assert (rejected == orange).all(axis=-1).sum() > 500
 
 
-def test_side_and_pixel_size_can_be_given(files, tmp_path, monkeypatch, capsys):
+def test_side_and_pixel_size_can_be_set_by_options(files, tmp_path, monkeypatch, capsys):
     path = block_knee_cohort.write_film(tmp_path / "unnamed.png", 2, "left", 5)
     read = ("predict", files["lr_l1_0v2_films"], path, "--workers", 1)
     assert run(monkeypatch, capsys, *read, "--out", tmp_path / "a", "--side", "left", "--pixel-mm", 0.75)[0] == 0
@@ -202,7 +202,7 @@ def test_side_and_pixel_size_can_be_given(files, tmp_path, monkeypatch, capsys):
 
 
 def change_card(content: bytes, **changes) -> bytes:
-    """Change entries of the card of a model file."""
+    """Change entries of the model card in a model file."""
     members = unzip_files(content)
     card = json.loads(members["pssf/model.json"]) | changes
     return zip_files(members | {"pssf/model.json": json.dumps(card).encode()})
@@ -227,12 +227,12 @@ def remove_array(content: bytes) -> bytes:
 
 
 def replace_pipeline(content: bytes, replacement: object) -> bytes:
-    """Replace the pipeline of a model file by another object; keep card and templates."""
+    """Replace the pipeline of a model file by another object; model card and templates stay unchanged."""
     members = {name: part for name, part in unzip_files(content).items() if name.startswith("pssf/")}
     return zip_files(members | unzip_files(skops.io.dumps(replacement)))
 
 
-NO_MODEL = "content must be a model saved by a study of pssf (.skops), got a damaged file or a file of another program"
+NO_MODEL = "content must be a model saved by pssf study (.skops), got a damaged file or another file type"
 
 
 @pytest.mark.parametrize(
@@ -250,7 +250,7 @@ NO_MODEL = "content must be a model saved by a study of pssf (.skops), got a dam
             lambda content: replace_pipeline(content, PurePosixPath("x")),
             f"{NO_MODEL} (UntrustedTypesFoundException: Untrusted types found in the file: ['pathlib",
         ),
-        (lambda content: replace_pipeline(content, {"a": 1}), "content must be a Pipeline, got dict"),
+        (lambda content: replace_pipeline(content, {"a": 1}), "content must be a scikit-learn Pipeline, got dict"),
         (lambda content: replace_pipeline(content, Pipeline([("s", StandardScaler())])), f"{NO_MODEL} ("),
         (lambda content: b"not a zip", NO_MODEL),
         (lambda content: content[: len(content) // 2], NO_MODEL),
@@ -308,7 +308,7 @@ def test_a_model_of_other_versions_is_loaded_with_a_warning(files, tmp_path, mon
     code, output, errors = run(monkeypatch, capsys, "predict", path, film, "--out", tmp_path / "o", "--workers", 1)
     assert code == 0
     assert "numpy 0.1, here" in errors
-    assert "other code of pssf (radiomics)" in errors
+    assert "different pssf code (radiomics)" in errors
     assert "grade 2 (mild OA)" in output
 
 
@@ -320,7 +320,7 @@ def test_display_images_need_a_template_with_a_plateau_width(files, tmp_path):
         predict_films(dataclasses.replace(model, templates=templates), [describe_film(path)], tmp_path)
 
 
-def test_the_parts_of_a_model_file_have_a_fixed_time_and_order(files):
+def test_entries_of_a_model_file_have_a_fixed_time_and_order(files):
     with zipfile.ZipFile(io.BytesIO(files["lr_l1_0v2_films"].read_bytes())) as packed:
         assert {part.date_time for part in packed.infolist()} == {(1980, 1, 1, 0, 0, 0)}
         assert [name for name in packed.namelist() if name.startswith("pssf/")] == [

@@ -1,4 +1,4 @@
-"""Final models, refitted to all subjects."""
+"""Check the final models, which are refitted to all subjects."""
 
 import numpy as np
 from synthetic_features import UNSTABLE_NAMES, make_measured_cohort, make_settings
@@ -36,7 +36,7 @@ def test_a_final_model_is_trained_on_every_subject():
     assert not np.array_equal(other.fitted.pipeline.named_steps["scale"].mean_, scaled.mean_)
 
 
-def test_parameters_are_tuned_on_the_validation_subjects_of_split_one(monkeypatch):
+def test_parameters_are_tuned_on_the_first_split(monkeypatch):
     table, tuned_on = make_measured_cohort(), []
 
     def record_subjects(preparation, model, training, validation, **options):
@@ -51,13 +51,13 @@ def test_parameters_are_tuned_on_the_validation_subjects_of_split_one(monkeypatc
     assert tuned_on == expected * len(SETS)
 
 
-def test_a_grade_missing_in_the_first_split_leaves_out_its_models():
+def test_no_model_is_refitted_if_the_first_split_lacks_a_grade():
     table = make_measured_cohort()
     dropped = (table["grade"] == 2) & (table["protocol"] == "a")
     assert not list(refit_models(table[~dropped], UNSTABLE_NAMES, make_settings(), {"a": ("a",)}))
 
 
-def test_refitting_to_the_same_rows_gives_the_tuned_model():
+def test_refitting_a_model_to_the_same_rows_gives_the_same_predictions():
     table = make_measured_cohort()
     X, y = table[UNSTABLE_NAMES], (table["grade"] == 2).astype(int).to_numpy()
     prepared = build_feature_pipeline("l1", rho=0.9, max_features=5, seed=0).fit(X, y)

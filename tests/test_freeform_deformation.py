@@ -24,7 +24,7 @@ def make_lattice(displacements=None, *, shaft=0, counts=(6, 5, 7), pitch=20.0, a
 
 
 def sample_points(lattice, count=400, seed=1):
-    """Return random points that only control points of the lattice influence."""
+    """Return random points at which all influencing control points belong to the lattice."""
     low = lattice.origin_mm + lattice.pitch_mm
     high = lattice.origin_mm + (np.array(lattice.counts) - 2) * lattice.pitch_mm
     return np.random.default_rng(seed).uniform(low, high, (count, 3))
@@ -34,7 +34,7 @@ def compute_displacements(points, lattice):
     return displace_points(points, lattice) - points
 
 
-def test_equal_control_point_displacements_translate_every_point():
+def test_equal_control_point_displacements_move_all_points_equally():
     lattice = make_lattice(np.broadcast_to([1.5, -2.0, 0.25], (6, 5, 7, 3)))
     assert_allclose(
         compute_displacements(sample_points(lattice), lattice), np.tile([1.5, -2.0, 0.25], (400, 1)), atol=1e-12
@@ -56,7 +56,7 @@ def test_one_control_point_moves_points_by_the_cubic_b_spline():
     lattice = make_lattice(one)
     centre = lattice.origin_mm + 20.0 * np.array([2, 2, 3])
     distances = np.linspace(-2.5, 2.5, 41)
-    # The cubic B-spline is 2/3 - u^2 + |u|^3 / 2 within one pitch, (2 - |u|)^3 / 6 within two.
+    # The cubic B-spline is 2/3 - u^2 + |u|^3 / 2 up to one pitch and (2 - |u|)^3 / 6 from one to two pitches.
     u = np.abs(distances)
     bell = np.where(u < 1, 2 / 3 - u**2 + u**3 / 2, np.clip(2 - u, 0, None) ** 3 / 6)
     for axis in range(3):
@@ -121,7 +121,7 @@ def test_the_deformation_has_a_continuous_second_derivative(shaft):
     along = np.arange(-150.0, 250.0, 0.05)
     points = np.column_stack((0.3 * along, 7.0 - 0.1 * along, along))
     third = np.diff(compute_displacements(points, lattice), 3, axis=0) / 0.05**3
-    # A jump of the second derivative by 1 mm per squared pitch would give 1 / 20^2 / 0.05 = 0.05.
+    # A discontinuity of 1 mm per squared pitch in the second derivative would give 1 / 20^2 / 0.05 = 0.05.
     assert np.abs(third).max() < 0.02
 
 
@@ -144,7 +144,7 @@ def test_the_minimum_jacobian_agrees_with_finite_differences():
     assert_allclose(min_jacobian_determinant(lattice), sampled, atol=0.08)
 
 
-def test_a_lattice_at_rest_has_jacobian_1_and_a_fold_a_negative_one():
+def test_the_minimum_jacobian_is_1_at_rest_and_negative_in_a_fold():
     assert min_jacobian_determinant(make_lattice(np.zeros((6, 5, 7, 3)))) == 1.0
     fold = np.zeros((6, 5, 7, 3))
     fold[2, :, :, 0], fold[3, :, :, 0] = 25.0, -25.0

@@ -7,12 +7,12 @@ import trimesh
 from pssf.geometry.mesh import Mesh
 from pssf.patient_comparison.bones.frontal_measures import measure_front_view
 
-# Width of the outline's columns.
+# Width of a column of the outline, in mm.
 PITCH_MM = 0.5
 
 
 def make_boxes(*spans):
-    """Return boxes as one mesh, each given by its limits in x, y and z."""
+    """Return a mesh of boxes; each box is specified by its limits in x, y and z."""
     boxes = [trimesh.creation.box(bounds=np.transpose(ends)) for ends in spans]
     whole = trimesh.util.concatenate(boxes)
     return Mesh(np.array(whole.vertices), np.array(whole.faces))

@@ -1,4 +1,4 @@
-"""Separability of grades by the parameters alone, an upper bound for any image feature."""
+"""Check the separability of grades by knee parameters alone, an upper bound for any image feature."""
 
 import dataclasses
 import inspect
@@ -38,7 +38,7 @@ def test_jsw_separates_grades_in_table_paper_but_not_in_population(population):
     assert np.isfinite(early["patient_auc"])
 
 
-def test_all_parameters_separate_better_than_jsw_alone(population):
+def test_all_parameters_together_separate_grades_better_than_jsw(population):
     best = population.groupby(level=["grades", "parameters"])["auc"].max()
     assert best[("0 vs 2", "all parameters")] > best[("0 vs 2", "JSW")] + 0.1
     later = [best[(f"0 vs {grade}", "all parameters")] for grade in (1, 2, 3)]
@@ -47,8 +47,8 @@ def test_all_parameters_separate_better_than_jsw_alone(population):
 
 
 @pytest.mark.slow
-def test_doubling_the_number_of_knees_stays_within_the_interval():
-    """Only the two least separable grades are sampled; with 1,000 knees in total the test fails."""
+def test_doubling_the_number_of_knees_keeps_the_auc_within_its_interval():
+    """Sample only the two least separable grades; the test fails with 1,000 knees in total."""
     pair = 2 * learn.DEFAULT_KNEE_COUNT // len(load_knee_distributions("population").grades.grades)
     worse, rng, laws = np.arange(2 * pair) % 2 == 1, np.random.default_rng(7), load_knee_distributions("population")
     table = build_parameter_table(
@@ -57,7 +57,7 @@ def test_doubling_the_number_of_knees_stays_within_the_interval():
     half, whole = (score_parameters(table[:count], worse[:count]) for count in (pair, 2 * pair))
     assert half["low"] <= whole["auc"] <= half["high"]
     assert whole["low"] <= half["auc"] <= whole["high"]
-    # With a measurement error of 0.1 SD, values at the end of a distribution are no longer recognisable.
+    # A measurement error of 0.1 SD hides the limits of the sampled ranges, which would reveal the grade.
     spread = np.where(table.nunique() > 50, table.std(), 0.0)
     read = table + 0.1 * spread * rng.normal(size=table.shape)
     assert score_parameters(read[:pair], worse[:pair])["auc"] == pytest.approx(half["auc"] - 0.03, abs=0.012)
@@ -67,7 +67,7 @@ def score_parameters(table, worse):
     return learn._estimate_auc(learn._predict_held_out(table.to_numpy(), worse, "boosted trees", 0), worse)
 
 
-def test_study_and_command_sample_the_same_number_of_knees():
+def test_study_and_command_sample_the_same_number_of_knees_by_default():
     default = inspect.signature(measuring_commands.separability).parameters["knees"].default
     assert (
         default
@@ -82,8 +82,9 @@ def test_separability_depends_only_on_the_seed():
     assert not one.equals(estimate_separability("paper", knees=60, seed=2))
 
 
-def test_parameters_do_not_contain_grade_texture_or_side():
-    knee = Knee(jsw_medial_mm=3.0, osteophytes=(Osteophyte(site="medial_tibia", size_mm=2.0),))  # KL 2 to 4
+def test_separability_parameters_exclude_grade_texture_and_side():
+    # This anatomy is compatible with KL grades 2 to 4.
+    knee = Knee(jsw_medial_mm=3.0, osteophytes=(Osteophyte(site="medial_tibia", size_mm=2.0),))
     one, other = (
         build_parameter_table(
             [dataclasses.replace(knee, grade=grade, reader_grade=grade, texture_seed=grade, side=side)], MODES

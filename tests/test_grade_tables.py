@@ -47,13 +47,13 @@ def test_osteophytes_of_each_grade_follow_kellgren_and_lawrence(population_knees
 
 
 def test_jsw_separates_grades_no_better_than_in_patients(population_knees):
-    # Linear relation of measured minimum gap and joint space, without variation from bones and acquisition.
+    # Linear relation between measured minimum gap and specified joint space; bones and acquisition do not vary.
     least = {
         grade: [min(1.05 * knee.jsw_medial_mm + 0.45, 0.92 * knee.jsw_lateral_mm + 0.85) for knee in knees]
         for grade, knees in population_knees.items()
     }
     auc = {g: mannwhitneyu(least[0], least[g]).statistic / COUNT**2 for g in range(1, 5)}
-    # The patients' confidence intervals are used; grade 2, at the lower limit, gets a margin of one standard error.
+    # The limits are patient confidence intervals; grade 2, near the lower limit, has a margin of one standard error.
     error = {1: 0.0, 2: np.sqrt(1 / (6 * COUNT)), 3: 0.0, 4: 0.0}
     for grade, value in auc.items():
         _, low, high = load_landmark_reference().gap_alone_auc[f"kl{grade}"]
@@ -80,7 +80,7 @@ def test_osteophytes_are_more_frequent_medially_and_on_the_tibia(population_knee
         frequency = {margin: np.mean([margin in of_one for of_one in sites]) for margin in MARGINS}
         for bone in ("tibia", "femur"):
             assert frequency[f"medial_{bone}"] > frequency[f"lateral_{bone}"]
-        # The margin is two standard errors of the difference of frequencies.
+        # The margin is two standard errors of the difference between two frequencies.
         for side in ("medial", "lateral"):
             assert frequency[f"{side}_tibia"] > frequency[f"{side}_femur"] - 2 * np.sqrt(0.5 / COUNT)
 
@@ -106,7 +106,7 @@ def test_severity_parameters_are_correlated_within_a_grade(population_knees):
     narrowed_medially = [knee for knee in population_knees[4] if knee.jsw_medial_mm < knee.jsw_lateral_mm]
     names = ("subchondral_plate", "varus_deg", "notch_growth_mm", "subluxation_mm", "effusion_mm")
     correlations = np.corrcoef([[getattr(knee, name) for knee in narrowed_medially] for name in names])
-    # Each parameter correlates with severity by 0.45, so that two correlate by 0.2 or less; 10 pairs, 280 knees.
+    # Each parameter correlates with severity by 0.45, so two parameters correlate by about 0.2; 10 pairs, 280 knees.
     assert correlations[np.triu_indices(5, 1)].mean() > 0.2 - 4 / np.sqrt(10 * 280)
 
 
@@ -185,7 +185,7 @@ def test_an_unknown_grade_or_grade_table_is_rejected():
         plan_cohort("quick", seed=1, overrides={"knees": [1, 1, 1, 1], "grade_table": "paper"})
 
 
-def test_the_default_table_is_population_and_old_names_still_work():
+def test_population_is_the_default_and_former_table_names_still_work():
     assert pssf.sample_knee(grade=4, rng=1).grade_table == "population"
     with pytest.warns(DeprecationWarning, match="table is now grade_table"):
         earlier = pssf.sample_knee(grade=2, rng=1, table="paper")
@@ -198,7 +198,7 @@ def test_the_default_table_is_population_and_old_names_still_work():
         assert plan_cohort("people", seed=1, overrides={"knees": [1, 1]}).preset == "population"
 
 
-def test_a_user_table_changes_only_the_given_entries_of_its_base(tmp_path):
+def test_a_user_table_changes_only_the_listed_entries_of_its_base(tmp_path):
     own = tmp_path / "own.toml"
     own.write_text('base = "paper"\n[grade.0]\njsw_medial_mm = [6.0, 6.5]\n[pose]\nrotation_deg = [1.0, 1.0]\n')
     table, paper = load_grade_table(str(own)), load_grade_table("paper")

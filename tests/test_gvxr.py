@@ -32,7 +32,7 @@ gvxr = pytest.importorskip("gvxrPython3", exc_type=ImportError).gvxr
 MM_PER_CM = 10.0
 KEV_PER_MEV = 1000.0
 
-# The image is neither square nor perpendicular to the beam, so that a flip, transposition or tilt would be detected.
+# A non-square image with an oblique beam reveals flips, transpositions and tilts.
 PROTOCOL = dataclasses.replace(pssf.load_protocol("reference"), rows=480, cols=512, pixel_mm=0.6, beam_angle_deg=7.0)
 VIEW = resolve_view(PROTOCOL)
 
@@ -59,7 +59,7 @@ def context():
     gvxr.setDetectorNumberOfPixels(VIEW.cols, VIEW.rows)
     gvxr.setDetectorPixelSize(VIEW.pixel_mm, VIEW.pixel_mm, "mm")
     gvxr.setMonoChromatic(60, "keV", 1)
-    # Setting a beam switches the artefact filter on again, so it is disabled afterwards.
+    # Setting a beam enables the artefact filter again, so it is disabled afterwards.
     gvxr.disableArtefactFiltering()
     yield
     gvxr.destroy()
@@ -126,7 +126,7 @@ def get_mesh(scene, name):
 
 
 def merge_material(scene, material):
-    """Merge all surfaces of a material into one mesh; gvxr has no `outside`, so cavities are inverted surfaces."""
+    """Merge all surfaces of a material into one mesh, with cavities as inverted surfaces."""
     pieces = []
     for surface in scene.surfaces:
         faces = {surface.inside: surface.mesh.faces, surface.outside: surface.mesh.faces[:, ::-1]}.get(material)
@@ -136,7 +136,7 @@ def merge_material(scene, material):
 
 
 def assert_path_lengths_agree(theirs, ours, tolerance_mm):
-    """Require agreement within the tolerance, except for a few rim pixels within RIM_MM."""
+    """Require agreement within the tolerance; a few rim pixels may differ by up to RIM_MM more."""
     difference = np.abs(theirs - ours)
     assert (difference > tolerance_mm).sum() <= RIM_FRACTION * (ours > 0).sum()
     assert difference.max() < tolerance_mm + RIM_MM
@@ -153,7 +153,7 @@ def make_frustum():
     source, corner = np.array(VIEW.source_mm), np.array(VIEW.first_pixel_mm)
     cos, sin = np.cos(np.deg2rad(17.0)), np.sin(np.deg2rad(17.0))
     square = 140.0 * np.array([(-1, -1), (-1, 1), (1, 1), (1, -1)]) @ np.array([(cos, -sin), (sin, cos)])
-    # With 0.37 no side passes through a pixel centre, where inside and outside would both be correct.
+    # The offset 0.37 keeps the sides away from pixel centres, at which either inside or outside would be correct.
     row, col = square.T + np.array([[240.37], [260.37]])
     projected = corner + VIEW.pixel_mm * np.column_stack((col, np.zeros(4), -row))
     return trimesh.convex.convex_hull(np.concatenate([source + depth * (projected - source) for depth in (0.80, 0.84)]))
@@ -189,9 +189,9 @@ def test_path_lengths_of_bones_agree_within_the_error_of_gvxr(knee_scene, name):
     assert_path_lengths_agree(trace_with_gvxr(mesh), trace_with_pssf(mesh), compute_depth_error_mm(mesh) + ROUNDED_MM)
 
 
-def test_the_error_of_gvxr_falls_with_the_square_of_the_edge_length(knee_scene):
+def test_the_gvxr_error_falls_with_the_square_of_the_edge_length(knee_scene):
     whole = get_mesh(knee_scene, "femur")
-    # The triangles are long enough for the depth error to exceed rounding.
+    # The simplified mesh has triangles so long that their depth error exceeds the rounding error.
     mesh = extract_mesh(
         build_solid(np.array(whole.vertices), np.array(whole.faces), "femur").simplify(0.2)
     ).as_trimesh()
@@ -222,7 +222,7 @@ def test_path_lengths_of_edge_on_faces_are_exact_where_gvxr_fails():
     gvxr.enableArtefactFilteringOnGPU()
     filtered = np.abs(trace_with_gvxr(mesh) - exact) > tolerance_mm
     gvxr.disableArtefactFiltering()
-    # On llvmpipe 4 of 78 000 pixels are wrong by up to 18 m; with the filter 6 pixels by up to 188 mm.
+    # With llvmpipe, 4 of 78 000 pixels are wrong by up to 18 m; with the artefact filter, 6 pixels by up to 188 mm.
     assert wrong.sum() < 40
     assert filtered.sum() < 80
 
@@ -243,7 +243,7 @@ def test_the_polychromatic_image_of_a_knee_agrees_with_gvxr(knee_scene):
         gvxr.addEnergyBinToSpectrum(float(energy), "keV", float(count))
     gvxr.disableArtefactFiltering()
     exponent = np.zeros((VIEW.rows, VIEW.cols, len(photons)))
-    # Trabeculae are omitted, because gvxr has no varying density.
+    # Trabecular texture is omitted, because gvxr does not support varying density.
     for name, lengths in pssf.trace(knee_scene, VIEW, engine="scanline", texture=False).path_mm.items():
         # Edges are halved twice; otherwise the depth error of the largest triangles would be 1 % of the image.
         add_mesh(name, split_edges(merge_material(knee_scene, name), 2), name)
@@ -252,10 +252,10 @@ def test_the_polychromatic_image_of_a_knee_agrees_with_gvxr(knee_scene):
     theirs = flip_rows(gvxr.computeXRayImage()) * KEV_PER_MEV
     difference = np.abs(theirs / ours - 1)
     assert 0.0 < ours.min() < 0.1 * ours.max()
-    # On llvmpipe the difference is below 6e-8 at 50 %, 3e-5 at 99 % and 3e-4 at 99.9 % of the pixels; 5e-3 at a rim.
+    # With llvmpipe, 50 % of pixels differ by less than 6e-8, 99 % by 3e-5 and 99.9 % by 3e-4; rim pixels by 5e-3.
     assert np.percentile(difference, 50) < 1e-6
     assert np.percentile(difference, 99.9) < 1e-3
-    # The error at a rim is at most RIM_MM of the densest material, at the mean energy.
+    # The error at a rim is at most that of RIM_MM of the densest material at the mean energy.
     energy = float((photons * beam.energies_kev).sum())
     rim = np.expm1(RIM_MM * compute_attenuation("cortical_bone", np.array([energy]))[0])
     assert 0.02 < rim < 0.2

@@ -56,7 +56,7 @@ def test_texture_features_of_the_phantom_match_ibsi(family):
     assert len(tags) == {"glcm": 23, "glrlm": 16, "glszm": 16, "ngtdm": 5, "gldm": 14}[family]
 
 
-def test_first_order_features_match_ibsi_with_kurtosis_minus_three():
+def test_first_order_features_match_ibsi_except_for_the_kurtosis_offset():
     values, mask = load_phantom()
     # The arrangement of voxels does not affect first-order features.
     one = values[mask > 0][None, :]
@@ -74,7 +74,7 @@ def test_agreement_respects_the_tolerance():
     assert agrees(0.0, (0.0, 0.001))
 
 
-def test_every_feature_has_an_ibsi_tag_or_a_stated_departure():
+def test_every_feature_has_an_ibsi_tag_or_a_documented_deviation():
     names = list(extract_features(make_texture(32, 1), 0.15, load_ibsi_tags()))
     assert all(find_ibsi_tag(name, load_ibsi_tags()) or find_ibsi_departure(name, load_ibsi_tags()) for name in names)
     assert find_ibsi_tag("firstorder_z_Mean", load_ibsi_tags()) == "stat_mean"

@@ -44,9 +44,9 @@ def coarse():
         ("Ti13Nb13Zr@5", ""), ("CuZn37@8.4", ""), ("AlMg3@2.7", ""), ("Zr2.5Nb@6.5", ""),
     ],
 )  # fmt: skip
-def test_an_alloy_name_by_mass_gives_a_warning(name, suggested):
+def test_an_alloy_formula_with_mass_percentages_gives_a_warning(name, suggested):
     warning = describe_alloy_misreading(name, load_tissues())
-    assert warning.startswith(f"{name} is read as numbers of atoms")
+    assert warning.startswith(f"{name} is interpreted as numbers of atoms")
     assert "percent by mass, as in Ti=90,Al=6,V=4@4.43" in warning
     assert f"material {suggested} (" in warning if suggested else "material" not in warning
 
@@ -62,7 +62,7 @@ def test_compounds_and_tissues_give_no_alloy_warning(name):
     assert describe_alloy_misreading(name, load_tissues()) is None
 
 
-def test_percent_by_mass_gives_the_attenuation_of_the_tabulated_alloy():
+def test_an_alloy_specified_by_mass_attenuates_like_the_tabulated_alloy():
     written = attenuation_per_mm(resolve_material("Ti=90,Al=6,V=4@4.43", load_tissues()), ENERGIES)
     assert_allclose(
         written, attenuation_per_mm(resolve_material("titanium_alloy", load_tissues()), ENERGIES), rtol=1e-12
@@ -71,7 +71,7 @@ def test_percent_by_mass_gives_the_attenuation_of_the_tabulated_alloy():
 
 
 @given(st.lists(st.floats(0.1, 100.0), min_size=2, max_size=4))
-def test_attenuation_is_mixed_by_percent_by_mass(parts):
+def test_attenuation_of_an_alloy_is_weighted_by_mass_percent(parts):
     percents = [100 * part / sum(parts) for part in parts]
     symbols = ("Ca", "O", "Zr", "H")[: len(parts)]
     name = ",".join(f"{symbol}={percent}" for symbol, percent in zip(symbols, percents, strict=True)) + "@2"
@@ -88,13 +88,13 @@ def test_attenuation_is_mixed_by_percent_by_mass(parts):
         ("Ti=100@", "material"), ("=100@4", "got '=100'"),
     ],
 )  # fmt: skip
-def test_invalid_percents_by_mass_give_a_one_line_error(name, why):
+def test_invalid_mass_percentages_give_a_one_line_error(name, why):
     with pytest.raises(pssf.InputError, match=why) as error:
         resolve_material(name, load_tissues())
     assert "\n" not in str(error.value)
 
 
-def test_simulate_warns_once_of_an_alloy_read_as_atoms(coarse):
+def test_simulate_warns_once_if_an_alloy_is_interpreted_by_atoms(coarse):
     scene = pssf.Scene([pssf.Surface(make_box(), "Ti6Al4V@4.43", "air", "plate")])
     assert ["titanium_alloy" in one for one in simulate_warnings(scene, coarse)] == [True]
 
@@ -114,27 +114,27 @@ def test_gases_are_allowed_as_ambient_material(coarse, ambient):
     assert str(pssf.check(scene)) == "no faults"
 
 
-def test_simulate_warns_once_of_a_scene_outside_the_field_of_view(coarse):
+def test_simulate_warns_once_about_a_scene_outside_the_field_of_view(coarse):
     scene = pssf.Scene([pssf.Surface(make_box(900.0), "muscle", "air")])
     (warning,) = simulate_warnings(scene, coarse)
     assert warning.startswith("the scene is outside the field of view")
 
 
-def test_simulate_warns_of_a_scene_behind_the_collimator(coarse):
+def test_simulate_warns_about_a_scene_behind_the_collimator(coarse):
     scene = pssf.Scene([pssf.Surface(make_box(100.0), "muscle", "air")])
     assert simulate_warnings(scene, coarse) == []
     (warning,) = simulate_warnings(scene, dataclasses.replace(coarse, field_width_mm=100.0, field_height_mm=240.0))
     assert warning.startswith("the scene is outside the field of view")
 
 
-def test_simulate_warns_of_saturation_inside_the_limb_only(built, coarse):
+def test_simulate_warns_about_saturation_only_inside_the_limb(built, coarse):
     assert simulate_warnings(built, dataclasses.replace(coarse, mas=4.0)) == []
     (warning,) = simulate_warnings(built, dataclasses.replace(coarse, mas=20.0))
     assert "% of the object's pixels are saturated (65535 DN)" in warning
     assert "mas (now 20)" in warning
 
 
-def test_simulate_warns_of_landmarks_outside_image_or_field(built, coarse):
+def test_simulate_warns_about_landmarks_outside_the_image_or_field(built, coarse):
     crop = dataclasses.replace(coarse, rows=20, cols=20)
     (warning,) = simulate_warnings(built, crop)
     assert "landmarks are outside the image (" in warning

@@ -1,4 +1,4 @@
-"""Beam and detector quality: HVL, MTF, noise power spectrum, variance and exposure index."""
+"""Check beam and detector quality: HVL, MTF, noise power spectrum, variance and exposure index."""
 
 import csv
 import dataclasses
@@ -20,7 +20,7 @@ REFERENCE = pssf.load_protocol("reference")
 
 
 def test_energy_transfer_to_air_equals_the_tabulated_values():
-    # Hubbell and Seltzer 1995, mass energy-absorption of dry air, cm2/g.
+    # Mass energy-absorption coefficients of dry air in cm2/g (Hubbell and Seltzer 1995), by energy in keV.
     known = {15.0: 1.334, 20.0: 0.5389, 30.0: 0.1537, 40.0: 0.06833, 60.0: 0.03041, 80.0: 0.02407}
     assert_allclose(
         beam_quality.energy_transfer_cm2_per_g(find_material("air"), np.array(list(known))),
@@ -29,7 +29,7 @@ def test_energy_transfer_to_air_equals_the_tabulated_values():
     )
 
 
-def test_half_value_layers_of_one_energy_equal_the_closed_form():
+def test_half_value_layers_at_a_single_energy_equal_the_closed_form():
     first, second = beam_quality.half_value_layers_mm_al(find_material("air"), np.array([50.0]), np.array([1e6]))
     expected = np.log(2) / (xraylib.CS_Total(13, 50.0) * 0.2699)
     assert_allclose([first, second], expected, rtol=1e-6)
@@ -62,7 +62,7 @@ def test_noise_of_flat_fields_has_the_power_spectrum_of_the_model():
 
 def test_variance_of_flat_fields_equals_the_photon_transfer_model():
     for mean, measured, expected in detector_quality.measure_photon_transfer(resolve_technique(REFERENCE)):
-        # Variance of n normal values: relative standard deviation sqrt(2 / n), n = 512 x 512.
+        # The variance of n = 512 x 512 normal values has a relative standard error of sqrt(2 / n).
         assert_allclose(measured, expected, rtol=5 * np.sqrt(2) / 512)
         assert mean > 0
 
@@ -86,7 +86,7 @@ def test_quality_tables_list_every_quantity_with_its_reference(tmp_path):
     assert paths[3].read_bytes().startswith(b"\x89PNG")
 
 
-def test_quality_ignores_posture_collimation_and_marker():
+def test_image_quality_does_not_depend_on_posture_collimation_or_marker():
     flexed = dataclasses.replace(pssf.load_protocol("fixed_flexion"), rows=256, cols=256, pixel_mm=1.2)
     collimated = dataclasses.replace(flexed, field_width_mm=20.0, field_height_mm=20.0, marker="R")
     assert detector_quality.make_bare_technique(

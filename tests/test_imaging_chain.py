@@ -58,7 +58,7 @@ def test_a_nist_compound_is_found_by_its_name():
 
 def test_implant_metals_attenuate_as_tabulated_by_nist():
     sixty = np.array([60.0])
-    # NIST XCOM at 60 keV with coherent scattering, cm2/g.
+    # Mass attenuation coefficients at 60 keV with coherent scattering, in cm2/g (NIST XCOM).
     for name, density, tabulated in (("Ti@4.51", 4.51, 0.7661), ("Al@2.70", 2.70, 0.2778)):
         assert_allclose(compute_attenuation(name, sixty), tabulated * density / 10, rtol=0.005)
     parts = 0.9 * 0.7661 + 0.06 * 0.2778
@@ -77,7 +77,7 @@ def test_an_unknown_material_is_named_in_the_error(name):
 
 @given(fraction=st.lists(st.floats(0, 1), min_size=4, max_size=4))
 @settings(max_examples=50)
-def test_the_reduced_spectrum_changes_no_signal_by_a_thousandth(fraction):
+def test_the_reduced_spectrum_changes_signals_by_less_than_0_1_percent(fraction):
     protocol = pssf.load_protocol("reference")
     most = {"muscle": 150.0, "cortical_bone": 30.0, "trabecular_bone": 80.0, "Ti@4.51": 10.0}
     whole, few = compute_beam(resolve_technique(protocol)), compute_reduced_beam(resolve_technique(protocol), most)
@@ -94,7 +94,7 @@ def test_the_reduced_spectrum_changes_no_signal_by_a_thousandth(fraction):
         assert_allclose(signals[1], signals[0], rtol=within)
 
 
-def test_lead_or_zero_current_gives_a_finite_image_of_offset_and_noise(small):
+def test_lead_or_zero_mas_gives_an_image_of_offset_and_noise(small):
     paths = {"Pb@11.35": np.full((8, 8), 1000.0, np.float32), "muscle": np.full((8, 8), 50.0, np.float32)}
     tiny = dataclasses.replace(small, rows=8, cols=8)
     with warnings.catch_warnings():
@@ -111,7 +111,7 @@ def test_the_heel_effect_falls_towards_the_anode(small):
     assert_allclose(
         rows[::-1], heel_factor(resolve_technique(dataclasses.replace(small, heel="anode_distal"))), rtol=1e-6
     )
-    # Far from the anode, the longer path through the filter reduces the signal slightly.
+    # At the cathode end, the longer oblique path through the filter reduces the signal slightly.
     assert (np.diff(rows[: len(rows) // 2]) > 0).all()
     assert 0.85 < rows[0] < 0.99 < rows[len(rows) // 2] < 1.01
     assert rows[-1] > 1
@@ -123,7 +123,7 @@ def test_the_heel_effect_falls_towards_the_anode(small):
     assert_allclose(other.kev, one.kev * rows[:, None], rtol=1e-5)
 
 
-def test_dead_pixels_are_zero_and_do_not_move(small):
+def test_dead_pixels_are_zero_and_have_the_same_locations_for_any_seed(small):
     broken = dataclasses.replace(small, dead_pixels=0.01)
     dead = panel_readout.sample_dead_pixels(resolve_technique(broken))
     assert abs(dead.sum() - 0.01 * dead.size) < 5 * np.sqrt(0.01 * dead.size)
@@ -154,12 +154,12 @@ def test_transmission_of_two_slabs_is_the_product_of_both(a, b):
     assert_allclose(kev(muscle=a, water=b) * kev(), kev(muscle=a) * kev(water=b), rtol=1e-5)
 
 
-def test_each_pixel_of_a_wide_row_follows_its_own_path_lengths():
+def test_each_pixel_of_a_wide_row_depends_on_its_path_lengths():
     rng = np.random.default_rng(3)
     protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=2, cols=700)
     technique = resolve_technique(protocol)
     beam = compute_beam(technique)
-    # Some pixels have no material and some only one.
+    # Some pixels contain no material, some contain only one of the two materials.
     lengths = {name: rng.uniform(0, 60, (2, 700)) * (rng.random((2, 700)) < 0.6) for name in ("muscle", "cartilage")}
     path_mm = {name: length.astype(np.float32) for name, length in lengths.items()}
     signal, empty = transmit(path_mm, beam, technique), transmit({}, beam, technique)
@@ -211,9 +211,9 @@ def test_any_photon_count_is_sampled_without_overflow_or_negative_signal(photons
 
 
 @pytest.mark.parametrize("quanta", [0.9, 1.1])
-def test_photon_counts_keep_their_moments_around_the_gaussian_threshold(quanta):
+def test_moments_of_photon_counts_are_correct_near_the_gaussian_limit(quanta):
     mean = quanta * quantum_noise.GAUSSIAN_MIN_QUANTA
-    # One quantum is 50 keV over the Swank factor.
+    # The energy of one quantum is 50 keV divided by the Swank factor.
     kev = np.full((1024, 1024), mean * 50.0 / CSI.swank, np.float32)
     counts = (
         quantum_noise.sample_quantum_noise(kev, np.full_like(kev, 50.0), CSI.swank, SEED).astype(np.float64)
@@ -250,7 +250,7 @@ def test_a_sine_wave_passes_the_panel_as_its_mtf_predicts(name):
 
 
 @pytest.mark.parametrize("per_mm", [0.5, 1.0, 2.0])
-def test_the_mtf_of_the_caesium_iodide_panel_matches_published_ones(per_mm):
+def test_the_mtf_of_the_caesium_iodide_panel_matches_published_values(per_mm):
     known = load_reference_tables().quality[f"mtf_{per_mm:g}_per_mm"]
     low, high = known.range or (0.97 * known.value, 1.03 * known.value)
     assert low <= detector_blur.compute_transfer(CSI, np.array([per_mm]))[0] <= high
@@ -312,7 +312,7 @@ def test_the_heel_effect_agrees_with_spekpy_up_to_the_field_edge(heel, angle_deg
         assert_allclose(rows[row], signals[0] * (1 + slope**2) / signals[1], rtol=1e-3)
 
 
-def test_an_anode_that_cuts_off_the_field_is_rejected_with_the_minimum():
+def test_the_error_for_an_anode_cut_off_in_the_field_states_the_minimum():
     reference = pssf.load_protocol("reference")
     for angle_deg in (6.0, 7.0, 8.0):
         with pytest.raises(pssf.InputError, match=r"anode_angle_deg must be at least 8\.1 deg .*, got"):

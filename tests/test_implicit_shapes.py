@@ -35,7 +35,7 @@ BONES = [make_template_femur(SHAPE.femur, TABLES.shape_model), make_template_tib
 
 @given(x=st.floats(-25, 25), y=st.floats(-18, 18))
 def test_the_field_of_a_column_varies_smoothly_from_side_to_axis(x, y):
-    # The expected depth is the relative distance to the side times a half-width between the smaller and the larger.
+    # The depth must be the relative distance to the side times a length between smaller and larger half-width.
     shaft = implicit_shapes.ColumnField(np.array([[-10.0, 30.0, 20.0, 0.0, 0.0], [10.0, 30.0, 20.0, 0.0, 0.0]]), 2.3)
     norm = ((abs(x) / 30) ** 2.3 + (abs(y) / 20) ** 2.3) ** (1 / 2.3)
     value = shaft(np.array([[x, y, 0.0]]))[0]
@@ -140,7 +140,7 @@ def test_every_triangle_of_a_central_osteophyte_faces_outwards(number, inward_fa
     assert sum(after for _, after in inward_face_counts) == 0
 
 
-# Correcting folds of these osteophytes once cut 0.24 mm off a tip of 0.55 mm.
+# In an earlier version, the correction of folds removed 0.24 mm of an osteophyte tip of 0.55 mm.
 KNEE_WITH_SHARP_OSTEOPHYTES = pssf.Knee(
     sex="female",
     stature_mm=1873.402215822025,
@@ -177,7 +177,7 @@ def test_no_osteophyte_tip_is_cut_off():
 
 
 def test_folds_of_a_mesh_are_smoothed():
-    # A fine condyle mesh with three of its vertices pulled across their neighbours.
+    # Three vertices of a fine condyle mesh are moved across their neighbours, which causes folds.
     ball = template_femur._build_csg_condyle(SHAPE.femur.condyles.medial, "medial").refine_to_length(2.0)
 
     def field(points):
@@ -201,7 +201,7 @@ def test_folds_of_a_mesh_are_smoothed():
     )
 
 
-# The tip of the canal, 25 mm wide and 0.8 mm thick, is a crescent; a triangle fan around its centre would leave it.
+# The canal ends in a crescent, 25 mm wide and 0.8 mm thick, which does not contain its own centre.
 KNEE_WITH_CRESCENT_CANAL = pssf.Knee(
     sex="female", stature_mm=1975.582, jsw_medial_mm=4.4926, jsw_lateral_mm=4.1687, varus_deg=-1.9591,
     flexion_deg=9.152, rotation_deg=4.3046, bone_scale=0.9016, cortex_scale=1.1217, tibial_slope_deg=11.1946,
@@ -219,7 +219,7 @@ def test_a_medullary_canal_with_a_crescent_tip_does_not_fold():
 
 
 @pytest.mark.parametrize("number", [1416, 1462, 1536, 1542])
-def test_trabecular_bone_with_osteophytes_is_one_piece(number):
+def test_the_trabecular_bone_of_knees_with_osteophytes_is_one_piece(number):
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))
     built = anatomy.build(sample_wide_range_knee(rng, 13))
     assert {name: len(bone.inner.decompose()) for name, bone in built.bones.items() if name in ("femur", "tibia")} == {

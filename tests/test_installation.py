@@ -17,12 +17,12 @@ from packaging.specifiers import SpecifierSet
 ROOT = Path(__file__).resolve().parents[1]
 PYTHONS = ("3.11", "3.12", "3.13", "3.14")
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-# The environment without variables of Python, of the test environment and of uv.
+# Environment variables except those of Python, uv and the virtual environment of the tests.
 CLEAN = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "VIRTUAL", "UV_"))}
 
 
 def run(*command: object, cwd: Path) -> str:
-    """Run a command, require success and return its standard output."""
+    """Run a command, require exit code 0 and return the standard output."""
     done = subprocess.run(list(map(str, command)), cwd=cwd, env=CLEAN, capture_output=True, text=True, check=False)
     assert done.returncode == 0, f"{command}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
     return done.stdout
@@ -84,7 +84,7 @@ def test_the_version_is_the_same_in_project_citation_and_changelog():
     assert not [path for path in (ROOT / "pssf").rglob("*.py") if re.search(rf"[\"']{version}[\"']", path.read_text())]
 
 
-# Modules of the extras. SpekPy installs matplotlib but never imports it.
+# Modules that only extras may import. SpekPy, a core dependency, installs matplotlib but never imports it.
 MODULES_OF_EXTRAS = (
     "pandas", "matplotlib", "radiomics", "mirp", "SimpleITK", "itk", "sklearn", "skimage", "xgboost", "jinja2", "skops",
     "feature_engine", "starlette", "uvicorn", "distributed",

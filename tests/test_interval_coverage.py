@@ -1,10 +1,14 @@
 """Check the coverage of the study's confidence intervals by simulation.
 
-The intervals should cover 95 %. Misses are binomial; the bounds are four standard deviations above their mean.
+The intervals should cover 95 %. The number of misses is binomial; each bound is four standard deviations above the
+expected number.
 """
+
+import itertools
 
 import numpy as np
 import pytest
+from scipy.stats import binom
 
 from pssf.study.learn.subject_split import split_subjects
 from pssf.study.statistics.scores.metrics import score_predictions
@@ -16,7 +20,7 @@ from pssf.validation.study_methods.interval_coverage import (
     measure_interval_coverage,
 )
 
-# The rarer grade has the smallest allowed number of test subjects, the other grade three times as many.
+# The rarer grade has the minimum number of test subjects, the other grade three times as many.
 UNBALANCED_SUBJECTS = (60, 20)
 
 
@@ -25,7 +29,7 @@ def compute_maximum_misses(cohorts: int) -> float:
     return 0.05 * cohorts + 4 * np.sqrt(0.05 * 0.95 * cohorts)
 
 
-def test_the_smallest_cohorts_have_the_minimum_number_of_test_subjects():
+def test_the_smallest_allowed_cohorts_have_the_minimum_test_subjects():
     for subjects, tested in (
         (MINIMUM_SUBJECTS, MIN_TEST_SUBJECTS),
         (UNBALANCED_SUBJECTS, 4 * MIN_TEST_SUBJECTS_PER_CLASS),
@@ -36,13 +40,18 @@ def test_the_smallest_cohorts_have_the_minimum_number_of_test_subjects():
 
 
 @pytest.mark.parametrize("tested", [(3, 3), (7, 2)], ids=str)
-def test_the_mean_macro_f1_of_small_test_sets_agrees_with_simulation(tested):
-    rng, accuracy, sampled = np.random.default_rng(2), (0.8, 0.6), []
-    truth = np.repeat([0, 1], tested)
-    for _ in range(4000):
-        predicted = np.where(rng.random(len(truth)) < np.repeat(accuracy, tested), truth, 1 - truth)
-        sampled.append(score_predictions(truth, np.eye(2)[predicted])["macro_f1"])
-    assert mean_macro_f1(accuracy, tested) == pytest.approx(np.mean(sampled), abs=4 * np.std(sampled) / np.sqrt(4000))
+def test_the_mean_macro_f1_is_the_mean_over_all_possible_predictions(tested):
+    accuracy, truth, mean = (0.8, 0.6), np.repeat([0, 1], tested), 0.0
+    for right in itertools.product(*(range(count + 1) for count in tested)):
+        predicted = np.concatenate(
+            [
+                np.where(np.arange(count) < correct, grade, 1 - grade)
+                for grade, count, correct in zip((0, 1), tested, right, strict=True)
+            ]
+        )
+        probability = np.prod(binom.pmf(right, tested, accuracy))
+        mean += probability * score_predictions(truth, np.eye(2)[predicted])["macro_f1"]
+    assert mean_macro_f1(accuracy, tested) == pytest.approx(mean, abs=1e-12)
 
 
 def test_the_mean_macro_f1_of_small_test_sets_is_below_its_limit():
@@ -64,12 +73,12 @@ def test_the_coverage_table_has_every_measure_at_every_distance():
 def test_intervals_cover_the_truth_when_models_are_retrained():
     found = count_missed_intervals(2.0, MINIMUM_SUBJECTS, 30)
     assert (found.drop(["bootstrap", "no width"]) <= compute_maximum_misses(30)).all(), found
-    # A bootstrap over overlapping splits exceeds the same bound.
+    # The naive bootstrap over overlapping splits misses more often than the bound allows.
     assert found["bootstrap"] > compute_maximum_misses(30), found
     assert found["no width"] <= 1
 
 
-def test_intervals_cover_the_truth_with_three_test_subjects_of_a_grade():
+def test_intervals_cover_the_truth_with_three_test_subjects_per_grade():
     found = count_missed_intervals(2.0, UNBALANCED_SUBJECTS, 30)
     assert (found.drop(["bootstrap", "no width"]) <= compute_maximum_misses(30)).all(), found
 
@@ -84,21 +93,21 @@ def test_intervals_cover_the_truth_for_any_ratio_of_grades(distance, subjects):
 
 
 @pytest.mark.slow
-def test_intervals_with_one_test_subject_of_a_grade_miss_too_often():
-    # Claims therefore stay undecided with fewer than three test subjects of a grade.
+def test_intervals_of_one_test_subject_per_grade_miss_too_often():
+    # The study therefore leaves claims undecided with fewer than three test subjects of a grade.
     found = count_missed_intervals(1.2, (7, 40), 200)
     assert (found[["balanced_accuracy", "macro_f1"]] > compute_maximum_misses(200)).all(), found
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("distance", [0.0, 1.2, 2.0])
-def test_intervals_cover_the_truth_but_a_bootstrap_over_splits_does_not(distance):
+def test_intervals_cover_the_truth_unlike_a_bootstrap_over_splits(distance):
     found = count_missed_intervals(distance, MINIMUM_SUBJECTS, 200)
     assert (found.drop(["bootstrap", "no width"]) <= compute_maximum_misses(200)).all(), found
     assert found["bootstrap"] > 0.05 * 200 + 2 * np.sqrt(0.05 * 0.95 * 200), found
 
 
 @pytest.mark.slow
-def test_one_in_ten_intervals_of_two_test_subjects_has_no_width():
-    # Claims therefore stay undecided with so few test subjects.
+def test_one_in_ten_intervals_of_two_test_subjects_has_zero_width():
+    # The study therefore leaves claims undecided with so few test subjects.
     assert count_missed_intervals(2.0, (8, 8), 100)["no width"] >= 10

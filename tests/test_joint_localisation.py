@@ -1,4 +1,4 @@
-"""Joint localisation: a joint is found; images without one, inverted, mirrored or of another size are rejected."""
+"""Check joint localisation: joints are found, and unsuitable images are rejected with a reason."""
 
 from dataclasses import replace
 
@@ -13,7 +13,6 @@ from scipy.ndimage import gaussian_filter, zoom
 import pssf
 from pssf.core.checks import InputError
 from pssf.data.analysis.localisation_table import load_localisation_settings
-from pssf.experiment import make_standard_templates
 from pssf.radiomics.localisation import pixel_aspect
 from pssf.radiomics.localisation.edge_field import Pyramid, compute_edge_field
 from pssf.radiomics.localisation.joint_candidates import Candidates, MatchPair
@@ -29,6 +28,7 @@ from pssf.radiomics.localisation.laterality import compute_side_evidence
 from pssf.radiomics.localisation.pixel_aspect import locate_joint_in_film, resample_to_square_pixels
 from pssf.radiomics.localisation.template_matching import Match, find_matches
 from pssf.radiomics.localisation.templates import Template, compute_density, make_poses
+from pssf.standard_templates import make_standard_templates
 from pssf.validation.study_methods.localisation_rates import make_coarse_protocol
 
 TABLE = load_localisation_settings()
@@ -100,7 +100,7 @@ def test_unknown_side_and_pixel_size_are_estimated(side):
     assert abs(smaller.pixel_mm / joint.pixel_mm / 2 - 1) < 0.04
 
 
-def test_a_crop_whose_patch_leaves_it_is_found():
+def test_a_joint_near_the_border_of_a_crop_is_found():
     film = compute_density(make_phantom(150, 165, noise=1.0))[90:210, 40:220]
     joint = locate_joint(film, [TEMPLATE], TABLE, side="right", pixel_mm=PIXEL_MM)
     assert joint.status == "found"
@@ -135,7 +135,7 @@ def test_a_simulated_joint_is_found_with_and_without_side_and_pixel_size(simulat
 
 
 def squeeze_rows(simulated, by):
-    """Crop the joint and reduce its rows by a factor; return film, film without bones, joint line and templates."""
+    """Crop a film and squeeze its rows; return crops with and without bones, joint row and templates."""
     whole, bare, templates = simulated
     row, _ = whole.truth.medial_joint_line_px
     rows = slice(int(row) - 60, int(row) + 60)
@@ -146,7 +146,7 @@ def squeeze_rows(simulated, by):
     return *crops, (row - rows.start + 0.5) / by - 0.5, templates
 
 
-def test_a_joint_on_a_squeezed_film_is_found_with_taller_pixels(simulated):
+def test_a_joint_on_a_film_with_non_square_pixels_is_found(simulated):
     whole, bare, row, templates = squeeze_rows(simulated, 1.44)
     col = simulated[0].truth.medial_joint_line_px[1]
     square, tall = (locate_joint(resample_to_square_pixels(whole, height), templates, TABLE) for height in (1.0, 1.44))
@@ -160,14 +160,14 @@ def test_a_joint_on_a_squeezed_film_is_found_with_taller_pixels(simulated):
     assert joint.square_pixel_row == pytest.approx((joint.row + 0.5) * 1.44 - 0.5)
     # If the pixel size is given, pixels are assumed to be square.
     assert locate_joint_in_film(whole, templates, strict, pixel_mm=1.2).pixel_height == 1.0
-    # Several attempts need a higher score, because chance alone gives a higher maximum.
+    # Further attempts require a higher score, because the maximum of several scores is higher by chance.
     above = replaced(strict, thresholds=replaced(strict.thresholds, min_score_further_attempts=0.9))
     assert locate_joint_in_film(whole, templates, above).status == "no knee"
     assert locate_joint_in_film(bare, templates, TABLE).status == "no knee"
 
 
 def locate_with_attempts(monkeypatch, attempts):
-    """Locate a joint with given results per attempt: (rows of a film of 100, severe) -> status and score."""
+    """Locate a joint with specified attempts: (rows of the resampled film, severe) -> (status, score)."""
     known = locate_in_phantom(make_phantom(150, 165))
 
     def attempt(image, *_, severe=False, **__):
@@ -181,7 +181,7 @@ def locate_with_attempts(monkeypatch, attempts):
     return locate_joint_in_film(np.zeros((100, 80)), [TEMPLATE], TABLE)
 
 
-def test_the_best_pixel_aspect_decides_unless_upside_down_scores_higher(monkeypatch):
+def test_the_best_pixel_aspect_is_used_unless_an_inverted_one_is_better(monkeypatch):
     attempts = {(83, False): ("found", 0.48), (120, False): ("found", 0.5), (144, False): ("found", 0.55)}
     joint = locate_with_attempts(monkeypatch, attempts)
     assert (joint.status, joint.pixel_height, joint.mean_score) == ("found", 1.44, 0.55)
@@ -193,15 +193,18 @@ def test_the_best_pixel_aspect_decides_unless_upside_down_scores_higher(monkeypa
 @pytest.mark.parametrize(
     ("square", "tall", "height"),
     [
-        (("found", 0.52), ("found", 0.59), 1.0),  # clear
-        (("wrong side", 0.63), ("found", 0.7), 1.0),  # above the limit at which its rejection counts
+        # The score with square pixels is high enough.
+        (("found", 0.52), ("found", 0.59), 1.0),
+        # A rejection with such a high score is accepted.
+        (("wrong side", 0.63), ("found", 0.7), 1.0),
         (("wrong side", 0.55), ("found", 0.59), 1.44),
-        (("found", 0.48), ("found", 0.50), 1.0),  # the gain is below that required for another pixel height
+        # The score gain is too small for non-square pixels.
+        (("found", 0.48), ("found", 0.50), 1.0),
         (("found", 0.48), ("found", 0.52), 1.44),
         (("found", 0.45), ("found", 0.45), 1.0),
     ],
 )
-def test_square_pixels_are_preferred_if_clear_or_nearly_as_good(monkeypatch, square, tall, height):
+def test_square_pixels_are_preferred_if_their_score_is_high_or_similar(monkeypatch, square, tall, height):
     joint = locate_with_attempts(monkeypatch, {(100, False): square, (144, False): tall})
     assert joint.pixel_height == height
     assert joint.status == (square if height == 1.0 else tall)[0]
@@ -211,11 +214,13 @@ def test_square_pixels_are_preferred_if_clear_or_nearly_as_good(monkeypatch, squ
     ("usual", "severe", "of_severe"),
     [
         (("no knee", 0.3), ("found", 0.47), True),
-        (("no knee", 0.3), ("found", 0.45), False),  # within chance for several attempts
+        # A score of 0.45 can occur by chance in several attempts.
+        (("no knee", 0.3), ("found", 0.45), False),
         (("found", 0.55), ("found", 0.57), True),
         (("found", 0.55), ("found", 0.53), False),
         (("found", 0.55), ("low score", 0.57), False),
-        (("found", 0.63), ("found", 0.7), False),  # severe templates are not tried
+        # The usual score is so high that severe templates are not tried.
+        (("found", 0.63), ("found", 0.7), False),
     ],
 )
 def test_a_severe_template_is_used_if_it_matches_better(monkeypatch, usual, severe, of_severe):
@@ -223,14 +228,14 @@ def test_a_severe_template_is_used_if_it_matches_better(monkeypatch, usual, seve
     assert (joint.status, joint.mean_score) == (severe if of_severe else usual)
 
 
-def test_a_severe_match_with_edges_of_the_other_side_is_rejected():
+def test_a_severe_template_with_edges_of_the_other_side_is_rejected():
     joint = replace(locate_in_phantom(make_phantom(150, 165)), score=0.5, compartment_score=0.5)
     severe = replace(joint, score=0.6, side_evidence=-0.1)
     assert pixel_aspect._select_usual_or_severe(joint, severe, TABLE) is severe
     assert pixel_aspect._select_usual_or_severe(joint, replace(severe, side_evidence=-0.2), TABLE) is joint
 
 
-def test_a_weak_match_without_pixel_size_needs_evidence_of_the_side():
+def test_a_weak_match_without_a_pixel_size_needs_clear_side_evidence():
     joint = replace(
         locate_in_phantom(make_phantom(150, 165)),
         pixel_mm_source="plateau",
@@ -257,11 +262,11 @@ def test_resampling_to_square_pixels_restores_the_proportions():
     assert resample_to_square_pixels(film, 1.0) is film
     square = resample_to_square_pixels(film, 1.5)
     assert square.shape == (15, 6)
-    # Rows rise by 6 each, by 4 on square pixels; at the ends the border is repeated.
+    # Values increase by 6 per original row and by 4 per square pixel; border rows are repeated.
     np.testing.assert_allclose(np.diff(square[1:-1], axis=0), 4.0)
 
 
-def test_no_knee_is_found_in_a_leg_without_bones_or_in_noise(simulated):
+def test_no_knee_is_found_in_noise_or_in_a_leg_without_bones(simulated):
     _, bare, templates = simulated
     assert locate_joint_in_radiograph(bare, templates, TABLE, side="right", pixel_mm=1.2).status == "no knee"
     noise = np.random.default_rng(0).integers(1000, 2000, bare.shape).astype(np.uint16)
@@ -290,7 +295,7 @@ def test_standard_templates_distinguish_a_knee_from_a_leg_without_bones(standard
     assert np.hypot(*offset_px) * protocol.pixel_mm < 4.0
 
 
-def test_matching_plateau_widths_rescales_the_pixel_size_of_a_template():
+def test_matching_the_plateau_width_rescales_a_template_pixel_size():
     larger = replace(TEMPLATE, pixel_mm=1.3 * TEMPLATE.pixel_mm, plateau_mm=1.3 * TEMPLATE.plateau_mm)
     assert larger.match_plateau_width(TEMPLATE).pixel_mm == pytest.approx(TEMPLATE.pixel_mm)
     assert larger.match_plateau_width(TEMPLATE).plateau_mm == TEMPLATE.plateau_mm
@@ -329,7 +334,7 @@ def test_a_mean_score_below_the_limit_is_reported_as_no_knee(weak):
         assert _decide_status(replace(joint, **{weak: score}), SHAPE, None, load_localisation_settings()) == status
 
 
-def test_a_compartment_that_matches_elsewhere_is_reported_as_low_score():
+def test_a_distant_compartment_match_is_reported_as_low_score():
     limits, joint = load_localisation_settings().thresholds, locate_in_phantom(make_phantom(150, 165))
     for off, status in ((-0.1, "found"), (0.1, "low score")):
         apart = replace(joint, match_distance_mm=limits.max_match_distance_mm + off)
@@ -352,7 +357,7 @@ def make_match(score, row, col, unit_mm=PIXEL_MM, side="right", orientation="upr
     )  # fmt: skip
 
 
-def test_of_equal_matches_the_one_with_a_medial_compartment_is_selected():
+def test_a_match_with_a_medial_compartment_is_preferred():
     right, decoys = make_match(0.60, 150, 165), [make_match(0.64, 90, 120), make_match(0.66, 150, 165, 2.2 * PIXEL_MM)]
     pair = make_candidates([right, *decoys]).select_pair("upright", "right")
     assert pair.joint_match == right
@@ -370,14 +375,14 @@ def test_a_match_with_a_much_lower_score_is_not_considered():
     assert make_candidates([right, lucky]).select_pair("upright", "right").joint_match == right
 
 
-def test_a_wrong_side_is_reported_only_if_a_side_was_given():
+def test_a_wrong_side_is_reported_only_if_a_side_is_specified():
     joint = locate_in_phantom(make_phantom(150, 165))
     mirrored = replace(joint, side_evidence=-1.0)
     assert _decide_status(mirrored, SHAPE, None, load_localisation_settings()) == "found"
     assert _decide_status(mirrored, SHAPE, None, load_localisation_settings(), "right") == "wrong side"
 
 
-def test_edge_evidence_decides_the_side_at_one_joint_scores_elsewhere():
+def test_edge_evidence_selects_the_side_only_for_matches_at_one_joint():
     def make_pair(wide, narrow, **at):
         return MatchPair(joint_match=make_match(wide, **at), compartment_match=make_match(narrow, **at))
 
@@ -405,7 +410,7 @@ def test_a_mirrored_film_has_the_opposite_side_evidence(simulated, invert):
     assert of_mirror == pytest.approx(-of_film, abs=0.05)
 
 
-def test_matches_of_another_side_or_orientation_are_no_candidates():
+def test_matches_of_another_side_or_orientation_are_not_candidates():
     right, others = (
         make_match(0.60, 150, 165),
         [make_match(0.9, 90, 120, side="left"), make_match(0.9, 90, 120, orientation="upside down")],
@@ -437,7 +442,7 @@ def test_invalid_arguments_raise_an_error():
         Template(pixels=TEMPLATE.pixels, row=160, col=180, pixel_mm=PIXEL_MM, plateau_mm=-1.0)
 
 
-def test_edge_vectors_point_up_the_density_gradient_with_length_below_one():
+def test_edge_vectors_are_parallel_to_the_density_gradient():
     ramp = np.add.outer(np.arange(40.0), 3 * np.arange(50.0))
     down, right = compute_edge_field(ramp, 6.0)[:, 5:-5, 5:-5]
     np.testing.assert_allclose(right / down, 3.0, rtol=1e-4)
@@ -457,8 +462,8 @@ def test_a_resampled_image_keeps_its_position(zoomed):
     np.testing.assert_allclose(image[tuple(inside)], wanted[tuple(inside)], atol=0.6 / zoomed)
 
 
-def test_the_score_by_chance_rises_for_smaller_knees():
-    """Noise has more positions for a small knee; with an unknown pixel size, scores are corrected for it."""
+def test_the_score_expected_by_chance_is_higher_for_smaller_knees():
+    """Check the correction of scores: noise offers more possible positions for a small knee than for a large one."""
     table = load_localisation_settings()
     chance = [_compute_chance_score((160, 300), unit_mm, table) for unit_mm in (0.2, 0.4, 0.8, 1.6, 3.2)]
     assert chance == sorted(chance)

@@ -1,4 +1,4 @@
-"""Cartilage and other joint tissues as solids."""
+"""Check the solids of cartilage and other joint tissues."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ def make_box(side_mm, x_mm=0.0):
     return Manifold.cube((side_mm,) * 3, center=True).translate((x_mm, 0.0, 0.0))
 
 
-def test_subtracting_bones_keeps_an_enclosed_piece_with_its_solid():
+def test_subtracting_bones_preserves_a_piece_enclosed_by_bone():
     shell = make_box(6.0, 20.0) - make_box(2.0, 20.0)
     near, far = _subtract_bones([make_box(10.0), make_box(10.0, 20.0)], [shell])
     assert near.volume() == pytest.approx(1000)
@@ -20,7 +20,7 @@ def test_subtracting_bones_keeps_an_enclosed_piece_with_its_solid():
 
 
 def test_cartilage_in_a_tight_crease_does_not_overlap_itself():
-    """Build the one knee of 2,000 (`pssf validate --tables builds`) that had a negative cartilage path of 0.037 mm."""
+    """Build the knee (1 of 2,000 of `pssf validate --tables builds`) that once had a cartilage path of -0.037 mm."""
     rng = np.random.default_rng(np.random.SeedSequence(1533, spawn_key=(1,)))
     built = pssf.build(
         pssf.sample_knee(grade=3, rng=rng, grade_table="population"), pssf.load_protocol("fixed_flexion")

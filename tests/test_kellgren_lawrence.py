@@ -49,7 +49,7 @@ def test_a_sampled_knee_cannot_be_changed_into_another_grade():
 
 @settings(max_examples=300, deadline=None)
 @given(seed=st.integers(0, 2**32), grade=st.integers(0, 4), table=st.sampled_from(("population", "paper")))
-def test_sampled_knees_keep_the_grade_that_they_were_sampled_for(seed, grade, table):
+def test_sampled_knees_have_the_requested_grade(seed, grade, table):
     grade = min(grade, 2) if table == "paper" else grade
     knee = pssf.sample_knee(grade=grade, rng=seed, grade_table=table)
     low, high = allowed_grades(knee, load_oarsi_thresholds())
@@ -61,7 +61,7 @@ def test_sampled_knees_keep_the_grade_that_they_were_sampled_for(seed, grade, ta
 @given(
     size_mm=st.floats(0, 8), medial=st.floats(0, 10), lateral=st.floats(0, 10), sex=st.sampled_from(("male", "female"))
 )
-def test_every_anatomy_has_a_grade(size_mm, medial, lateral, sex):
+def test_a_grade_can_be_derived_for_every_anatomy(size_mm, medial, lateral, sex):
     knee = make_knee(size_mm if size_mm >= 0.2 else 0.0, jsw_medial_mm=medial, jsw_lateral_mm=lateral, sex=sex)
     low, high = allowed_grades(knee, load_oarsi_thresholds())
     assert 0 <= low <= derive_grade(knee, load_oarsi_thresholds()) <= high <= 4
@@ -78,7 +78,7 @@ def test_the_truth_has_the_grade_of_the_anatomy(small):
         assert (truth.grade, truth.readings["XRKL"]) == (grade, grade)
 
 
-def test_knees_of_a_user_table_have_the_grade_that_it_defines(tmp_path):
+def test_knees_of_a_user_table_have_the_grade_defined_by_the_table(tmp_path):
     own = tmp_path / "my table.toml"
     own.write_text('base = "paper"\n[grade.2]\nosteophyte_count = [0, 0]\njsw_medial_mm = [5.0, 5.0]\n')
     knees = [pssf.sample_knee(grade=2, rng=np.random.default_rng(k), grade_table=str(own)) for k in range(20)]

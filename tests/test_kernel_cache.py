@@ -1,4 +1,4 @@
-"""Faults of numba's cache cost one compilation, and nothing else."""
+"""Check the cache of compiled kernels: damaged or missing files only cause a new compilation."""
 
 import importlib
 import os
@@ -20,7 +20,7 @@ from pssf.core.numba_kernel import kernel
 def toy_kernel(x):
     return {factor} * x
 """
-# What a full disk, a crash or a bad sector leaves of a file.
+# Damage to a file, as caused by a full disk, a crash or a bad sector: name -> function of the file content.
 DAMAGES = {
     "empty": lambda content: b"",
     "cut": lambda content: content[: len(content) // 2],
@@ -49,7 +49,7 @@ print(len(found), *sorted(set(found.values())))
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Where compiled code goes."""
+    """Set and return the cache folder of compiled kernels."""
     import numba
 
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path / "cache"))
@@ -57,7 +57,7 @@ def folder(tmp_path, monkeypatch):
 
 
 def toy(path, factor=2):
-    """A module with one kernel, as another process would import it."""
+    """Import a module with one kernel anew, as another process would, and return the kernel."""
     path.write_text(TOY.format(factor=factor))
     spec = importlib.util.spec_from_file_location("toy", path)
     module = importlib.util.module_from_spec(spec)
@@ -74,7 +74,7 @@ def hits(function):
 def test_a_damaged_cache_file_is_compiled_again_and_replaced(folder, tmp_path, suffix, damage):
     assert toy(tmp_path / "toy.py")(2) == 4
     (file,) = folder.rglob(f"*.{suffix}")
-    # The index is short: its last bytes are those of the file's name.
+    # An index may be shorter than 200 bytes; in that case its bytes are reversed.
     content = file.read_bytes()
     flipped = DAMAGES[damage](content) if damage != "flipped" or len(content) > 200 else content[::-1]
     file.write_bytes(flipped)
@@ -86,12 +86,12 @@ def test_a_damaged_cache_file_is_compiled_again_and_replaced(folder, tmp_path, s
     assert hits(third) == 1
 
 
-def test_cached_code_for_other_types_is_not_run(folder, tmp_path):
+def test_cached_machine_code_for_other_types_is_not_run(folder, tmp_path):
     function = toy(tmp_path / "toy.py")
     assert function(2) == 4
     assert function(2.5) == 5.0
     one, two = sorted(folder.rglob("*.nbc"))
-    # As two processes leave it that compile for different types at once.
+    # Two processes that compile for different types at the same time can produce this state.
     two.write_bytes(one.read_bytes())
     again = toy(tmp_path / "toy.py")
     assert again(2) == 4
@@ -99,7 +99,7 @@ def test_cached_code_for_other_types_is_not_run(folder, tmp_path):
     assert hits(again) == 1
 
 
-def test_a_cache_that_cannot_be_saved_raises_no_error(folder, tmp_path, monkeypatch):
+def test_a_full_disk_for_the_kernel_cache_raises_no_error(folder, tmp_path, monkeypatch):
     def full(*arguments):
         raise OSError(28, "No space left on device")
 
@@ -109,7 +109,7 @@ def test_a_cache_that_cannot_be_saved_raises_no_error(folder, tmp_path, monkeypa
 
 
 def unwritable(monkeypatch, but=None):
-    """Refuse every folder for compiled code but those below one."""
+    """Make all cache folders unwritable except those below the folder `but`."""
     ensure = kernel_cache._CacheLocator.ensure_cache_path
 
     def refused(self):
@@ -176,7 +176,7 @@ def test_a_function_without_a_source_file_has_no_cache():
 
 
 def test_a_simulation_succeeds_with_damaged_cache_files(tmp_path):
-    """As a user meets it: the command line, with every index empty, then with all code cut."""
+    """Run the command line with an empty cache, then with empty index files, then with empty code files."""
     settings = ["rows=64", "cols=64", "pixel_mm=4.8", "scatter=none", "texture=none", "noise=none"]
     command = [sys.executable, "-m", "pssf", "simulate", "--engine", "scanline", "--formats", "tif", "--workers", "1"]
     command += [word for setting in settings for word in ("--set", setting)]
@@ -188,7 +188,7 @@ def test_a_simulation_succeeds_with_damaged_cache_files(tmp_path):
         whole = [*command, "--out", str(tmp_path / name)]
         done = subprocess.run(whole, env=environment, capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
-        # Nothing but the one line that says that kernels are compiled.
+        # The only output is the line about the compilation of kernels.
         assert [line[:15] for line in done.stderr.splitlines()] == ["pssf: compiling"]
         (made,) = (tmp_path / name).iterdir()
         pixels.append(made.read_bytes())
@@ -216,7 +216,7 @@ if __name__ == "__main__":
 
 
 def capture_standard_error(code, folder):
-    """Run code in a process whose cache of compiled code is a folder, and return its standard error."""
+    """Run code in a new process with a specified kernel cache folder, and return the standard error."""
     return subprocess.run(
         [sys.executable, "-c", code],
         env=os.environ | {"NUMBA_CACHE_DIR": str(folder)},

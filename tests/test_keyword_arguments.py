@@ -42,7 +42,7 @@ def test_changing_an_unknown_field_gives_the_nearest_name(small):
         pssf.sample_knee(grade=2, rng=1, jsw=3.0)
 
 
-def test_an_earlier_name_gives_a_warning_and_excludes_the_new_one():
+def test_a_former_argument_name_gives_a_warning_or_excludes_the_new_one():
     ball = trimesh.creation.icosphere(radius=20)
     scene = pssf.Scene([pssf.Surface(ball, inside="water", outside="air")])
     protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=32, cols=32, pixel_mm=4.8, scatter="none")
@@ -53,7 +53,7 @@ def test_an_earlier_name_gives_a_warning_and_excludes_the_new_one():
         pssf.simulate(scene, protocol, seed=3, rng=3)
 
 
-def test_the_seed_drawn_from_a_generator_reproduces_the_radiograph(small):
+def test_the_seed_sampled_from_a_generator_reproduces_the_radiograph(small):
     scene = pssf.Scene([])
     first = pssf.simulate(scene, small, rng=np.random.default_rng(5))
     assert first == pssf.simulate(scene, small, rng=first.seed)
@@ -69,7 +69,7 @@ def test_simulate_accepts_the_name_or_path_of_a_protocol(small, tmp_path):
         pssf.simulate(pssf.Scene([]), "referense")
 
 
-def test_checked_classes_can_be_pickled_and_accept_their_keywords():
+def test_classes_with_checked_keywords_can_be_pickled_and_modified():
     knee = pssf.Knee(jsw_medial_mm=3.0)
     assert pickle.loads(pickle.dumps(knee)) == knee
     assert dataclasses.replace(knee, varus_deg=2.0).varus_deg == 2.0

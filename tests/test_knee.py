@@ -59,12 +59,12 @@ def test_body_mass_index_changes_only_limb_and_fat_thickness():
     assert dataclasses.replace(heavy, **limb) == free
 
 
-def test_limb_and_fat_thickness_can_be_given_for_any_body_mass_index():
+def test_limb_and_fat_thickness_can_be_set_for_any_body_mass_index():
     knee = Knee(bmi=45.0, fat_mm=6.0)
     assert (knee.limb_ap_mm, knee.fat_mm) == (Knee(bmi=45.0).limb_ap_mm, 6.0)
     sampled = sample_knee(grade=1, rng=np.random.default_rng(3), bmi=45.0, limb_ap_mm=100.0, grade_table="paper")
     assert sampled.limb_ap_mm == 100.0
-    # A knee keeps its sizes when the BMI changes; None derives them from the BMI.
+    # Changing the BMI does not change limb and fat thickness unless they are None, which derives them from the BMI.
     again = dataclasses.replace(knee, bmi=20.0, limb_ap_mm=None, fat_mm=None)
     assert again == Knee(bmi=20.0)
 
@@ -94,13 +94,13 @@ def test_a_field_out_of_range_is_named_in_the_error(field, value):
 
 def test_two_osteophytes_at_the_same_location_are_rejected():
     osteophyte = Osteophyte(site="medial_tibia", size_mm=1.0)
-    with pytest.raises(InputError, match=r"osteophytes at medial_tibia must be at least 0.5 apart"):
+    with pytest.raises(InputError, match=r"osteophytes at medial_tibia must differ by at least 0.5 in place"):
         Knee(osteophytes=(osteophyte, osteophyte))
 
 
-def test_osteophytes_of_one_margin_must_be_0_5_apart():
+def test_osteophytes_on_the_same_margin_must_be_at_least_0_5_apart():
     Knee(osteophytes=tuple(Osteophyte(site="medial_tibia", size_mm=2.0, place=place) for place in (0.0, -0.5, 0.6)))
-    with pytest.raises(InputError, match=r"must be at least 0.5 apart in place, got places 0 and 0.4"):
+    with pytest.raises(InputError, match=r"must differ by at least 0.5 in place, got places 0 and 0.4"):
         Knee(osteophytes=tuple(Osteophyte(site="medial_tibia", size_mm=2.0, place=place) for place in (0.4, 0.0)))
 
 
@@ -113,7 +113,7 @@ def test_an_osteophyte_field_out_of_range_is_named_in_the_error(field, value):
         Osteophyte(**{"site": "medial_tibia", "size_mm": 2.0, field: value})
 
 
-def test_a_spine_osteophyte_has_no_place():
+def test_the_place_of_a_spine_osteophyte_must_be_0():
     with pytest.raises(InputError, match=r"osteophyte at medial_spine: place .* must be 0 .*, got place = 0\.5"):
         Osteophyte(site="medial_spine", size_mm=2.0, place=0.5)
 

@@ -1,4 +1,4 @@
-"""Both knees on one detector: each has the position and labels that it has alone."""
+"""Check both knees on one detector: position and labels of each knee agree with those of a single knee."""
 
 import dataclasses
 
@@ -54,7 +54,7 @@ def test_identical_knees_are_mirror_images_with_the_right_knee_on_the_left(pair)
 def test_labels_of_both_knees_agree_with_their_masks(pair):
     protocol = dataclasses.replace(BILATERAL, rows=583, cols=716, pixel_mm=0.6)
     truths = pssf.simulate(pair, protocol, engine="scanline", keep=("masks",)).truths
-    # Each knee is off the central ray, so its projected joint space differs from the specified one.
+    # The central ray passes between the knees, so the projected JSW differs slightly from the specified JSW.
     assert truths[0].jsw_medial_mm == pytest.approx(4.2, abs=0.3)
     for truth in truths:
         row, col = truth.landmarks_px["medial_spine"]
@@ -74,7 +74,7 @@ def test_a_radiograph_of_both_knees_is_loaded_unchanged(pair, tmp_path):
         assert pssf.load(pssf.save(one, tmp_path / f"both.{suffix}")) == one
 
 
-def test_masks_of_both_knees_are_loaded_with_the_side_in_their_name(pair, tmp_path):
+def test_masks_of_both_knees_are_loaded_with_the_side_in_their_names(pair, tmp_path):
     one = pssf.simulate(pair, SMALL, engine="scanline", keep=("masks",))
     for suffix in ("tif", "dcm"):
         back = pssf.load_masks(pssf.save_masks(one, tmp_path / f"both.{suffix}"))
@@ -91,8 +91,12 @@ def test_masks_of_both_knees_are_loaded_with_the_side_in_their_name(pair, tmp_pa
     ("knees", "more", "why"),
     [
         ((LEFT, RIGHT), {}, r"a right and a left Knee in this order, got left as the right knee"),
-        ((RIGHT, "left"), {}, r"knee must be a Knee, a BuiltKnee, a right and a left one, or a Scene, got 'left'"),
-        ((RIGHT, LEFT, LEFT), {}, r"knee must be a Knee, a BuiltKnee, a right and a left one, or a Scene"),
+        (
+            (RIGHT, "left"),
+            {},
+            r"knee must be a Knee, a BuiltKnee, a \(right, left\) pair of them, or a Scene, got 'left'",
+        ),
+        ((RIGHT, LEFT, LEFT), {}, r"knee must be a Knee, a BuiltKnee, a \(right, left\) pair of them, or a Scene"),
         ((RIGHT, LEFT), dict(knee_distance_mm=0.0), r"knee_distance_mm must be above 0 mm for two knees"),
         ((RIGHT, LEFT), dict(beam_along="medial_plateau"), r"beam_along must be 'horizontal' for two knees"),
         (RIGHT, {}, r"knee_distance_mm must be 0 for one knee, got 210 mm"),
@@ -103,12 +107,10 @@ def test_an_invalid_pair_raises_an_error_with_the_reason(knees, more, why):
         pssf.simulate(knees, dataclasses.replace(SMALL, **more))
 
 
-def test_overlapping_legs_raise_an_error_with_the_distance_they_need(pair):
+def test_the_error_for_overlapping_legs_states_the_required_distance(pair):
     with pytest.raises(InputError, match=r"must be more than 1\d\d mm for these legs, got 80 mm: the legs overlap"):
         build_pair(*pair.knees, dataclasses.replace(BILATERAL, knee_distance_mm=80.0))
-    with pytest.raises(
-        InputError, match=r"knee_distance_mm must be 210 mm, with which the knees were built, got 200 mm"
-    ):
+    with pytest.raises(InputError, match=r"knee_distance_mm must be 210 mm, as in build, got 200 mm"):
         pssf.simulate(pair, dataclasses.replace(SMALL, knee_distance_mm=200.0))
 
 

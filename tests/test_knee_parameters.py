@@ -1,4 +1,4 @@
-"""Parameters of the simulated knees and their correlation with measured features."""
+"""Check the parameters of simulated knees and their correlation with measured features."""
 
 import json
 
@@ -53,7 +53,7 @@ def test_morphology_is_listed_with_the_range_of_its_grade():
     assert np.isnan(table.loc[("age, years", 0), "range_low"])
 
 
-def test_a_feature_correlates_with_the_parameter_it_was_made_from():
+def test_a_feature_correlates_with_its_simulated_parameter():
     knees, rng = make_manifest(), np.random.default_rng(0)
     features = {"glcm_a": -knees["nominal_jsw_medial_mm"], "glcm_b": rng.normal(size=len(knees)), "glcm_c": 1.0}
     usable = knees[["knee", "grade", "protocol"]].assign(**features)
@@ -80,7 +80,7 @@ def test_the_cohort_is_counted_per_grade_and_in_total():
     assert set(found["protocols"]) == {"2 (reference, low dose)"}
 
 
-def test_ranges_come_from_the_grade_table_named_in_the_manifest():
+def test_parameter_ranges_come_from_the_grade_table_of_the_manifest():
     knees = make_manifest().assign(grade_table="paper")
     laws = resolve_sampling_laws(knees)
     assert laws.grades == load_grade_table("paper")
@@ -98,7 +98,7 @@ def test_ranges_come_from_the_grade_table_named_in_the_manifest():
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_manifest_of_many_columns_is_read_without_a_warning(tmp_path):
+def test_a_manifest_with_many_columns_is_read_without_a_warning(tmp_path):
     rows = pd.DataFrame({f"truth_{k}": [1.5, 2.5] for k in range(150)})
     rows.assign(knee=[0, 1], subject=[0, 1], grade=[0, 2], sex=["female", "male"]).to_csv(
         tmp_path / "m.csv", index=False

@@ -1,4 +1,4 @@
-"""HTML viewer of a knee with its radiograph."""
+"""Check the HTML viewer of a knee and its radiograph."""
 
 import base64
 import dataclasses
@@ -71,7 +71,7 @@ def is_thin_layer(name):
     return name.endswith(("_cartilage", "_meniscus", "fat_pad"))
 
 
-def test_the_page_contains_every_surface_at_its_position(scene, page):
+def test_the_viewer_page_contains_every_surface_at_its_position(scene, page):
     layers = parse_content(page)["layers"]
     assert len(layers) == len(scene.surfaces)
     left = {surface.name: surface.solid for surface in scene.surfaces}
@@ -81,28 +81,28 @@ def test_the_page_contains_every_surface_at_its_position(scene, page):
         name = min(left, key=lambda name: abs(left[name].points.min(axis=0) - mesh.bounds[0]).max())
         solid = left.pop(name)
         whole = trimesh.Trimesh(solid.points, solid.faces, process=False)
-        # A margin thinner than the tolerance, as of cartilage and the fat pad, is shortened.
+        # Simplification shortens margins that are thinner than the tolerance, as in cartilage and the fat pad.
         assert abs(mesh.bounds - whole.bounds).max() < (0.5 if is_thin_layer(name) else 0.06)
         assert abs(mesh.volume - whole.volume) < 0.06 * whole.area
 
 
-def test_the_page_makes_no_network_requests(page):
+def test_the_viewer_page_makes_no_network_requests(page):
     text = page.read_text()
     assert "default-src 'none'" in text
     assert set(re.findall(r"https?://[^\"'\s]+", text)) == {"http://www.w3.org/2000/svg"}
     assert not re.search(r"<link|@import|\bfetch\(|XMLHttpRequest|\bimport\(|\ssrc=", text)
 
 
-def test_the_page_of_a_knee_is_smaller_than_6_mb(page):
+def test_the_viewer_page_of_a_knee_is_smaller_than_6_mb(page):
     assert page.stat().st_size < 6e6
 
 
-def test_the_same_knee_gives_the_same_page(scene, radiograph, page, tmp_path):
+def test_the_same_knee_gives_an_identical_viewer_page(scene, radiograph, page, tmp_path):
     again = write_viewer(scene, radiograph, tmp_path / "again.html", title="A & B")
     assert again.read_bytes() == page.read_bytes()
 
 
-def test_the_radiograph_on_the_page_is_rendered_for_display(radiograph, page):
+def test_the_radiograph_on_the_viewer_page_is_rendered_for_display(radiograph, page):
     displayed = parse_content(page)["radiograph"]
     with Image.open(io.BytesIO(base64.b64decode(displayed["png"].split(",")[1]))) as image:
         assert (np.asarray(image) == pssf.render_for_display(radiograph.pixels)).all()
@@ -117,7 +117,7 @@ def test_a_large_radiograph_is_scaled_down_with_its_landmarks(radiograph, tmp_pa
     assert displayed["landmarks"]["joint centre"] == pytest.approx([(row + 0.5) / 2304, (col + 0.5) / 2304])
 
 
-def test_shells_are_listed_under_their_bone_by_material(page):
+def test_bone_materials_are_listed_under_their_bone(page):
     layers = parse_content(page)["layers"]
     femur = {layer["label"]: layer["colour"] for layer in layers if layer["group"] == "femur"}
     assert {"cortical bone", "trabecular bone", "marrow"} <= set(femur)
@@ -125,7 +125,7 @@ def test_shells_are_listed_under_their_bone_by_material(page):
     assert {"skin", "adipose", "muscle"} <= {layer["label"] for layer in layers if layer["group"] == ""}
 
 
-def test_numbered_surfaces_are_grouped_in_one_row(radiograph, tmp_path):
+def test_numbered_surfaces_are_grouped_under_their_parent_surface(radiograph, tmp_path):
     box = trimesh.creation.box(extents=(5, 5, 5))
     names = ("leg", "leg_pin_1", "leg_pin_2", "pin", "pin")
     boxes = [box.copy().apply_translation((8 * k, 0, 0)) for k in range(5)]
@@ -135,7 +135,7 @@ def test_numbered_surfaces_are_grouped_in_one_row(radiograph, tmp_path):
     assert rows == [("leg", "leg"), ("leg", "pin"), ("leg", "pin"), ("", "pin"), ("", "pin")]
 
 
-def test_names_and_titles_are_escaped_on_the_page(radiograph, tmp_path):
+def test_names_and_titles_are_escaped_on_the_viewer_page(radiograph, tmp_path):
     evil = "</script><script>alert(1)</script>"
     box = trimesh.creation.box(extents=(9, 9, 9))
     path = write_viewer(pssf.Scene([pssf.Surface(box, evil, "air")]), radiograph, tmp_path / "x.html", title="<b>A</b>")
@@ -144,7 +144,7 @@ def test_names_and_titles_are_escaped_on_the_page(radiograph, tmp_path):
     assert parse_content(path)["layers"][0]["material"] == evil
 
 
-def test_creases_keep_box_edges_sharp_and_spheres_smooth():
+def test_crease_splitting_keeps_boxes_sharp_and_spheres_smooth():
     points, normals, faces = split_creases(trimesh.creation.box())
     assert len(points) == 24
     assert sorted(map(tuple, np.abs(normals))) == sorted(map(tuple, np.repeat(np.eye(3), 8, axis=0)))
@@ -155,7 +155,7 @@ def test_creases_keep_box_edges_sharp_and_spheres_smooth():
     assert (points * normals).sum(axis=1).min() > 0.98
 
 
-def test_an_open_mesh_raises_an_error_and_writes_no_page(radiograph, tmp_path):
+def test_an_open_mesh_raises_an_error_and_no_viewer_page_is_written(radiograph, tmp_path):
     box = trimesh.creation.box(extents=(9, 9, 9))
     box.update_faces(np.arange(11))
     with pytest.raises(pssf.InputError, match="surface: edges of a hole"):
@@ -164,7 +164,7 @@ def test_an_open_mesh_raises_an_error_and_writes_no_page(radiograph, tmp_path):
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
-def test_the_page_renders_toggles_and_cuts_solids_in_a_browser(radiograph, tmp_path):
+def test_solids_are_rendered_hidden_and_cut_in_a_browser(radiograph, tmp_path):
     page = write_viewer(make_spheres(), radiograph, tmp_path / "spheres.html")
     script = """
       const renderPixels = () => {
@@ -191,24 +191,25 @@ def test_the_page_renders_toggles_and_cuts_solids_in_a_browser(radiograph, tmp_p
     assert "CONSOLE" not in done.stderr
     found = json.loads(re.search("<title>(.*?)</title>", done.stdout)[1])
     assert found["errors"] == 0
-    # The columns are the screen directions of x, y and z: right, up, away from the viewer. Front is the image view.
+    # Columns: directions of x, y and z on the screen (right, up, away from the viewer). Front is the image view.
     front, side = (np.reshape(found[name], (4, 4))[:3, [0, 1, 3]] for name in ("front", "side"))
     assert (np.sign(front.round(9)) == [[1, 0, 0], [0, 0, 1], [0, 1, 0]]).all()
     assert (np.sign(side.round(9)) == [[0, 0, -1], [1, 0, 0], [0, 1, 0]]).all()
     assert front[0, 0] * 300 == pytest.approx(front[2, 1] * 200)
     # Twice the radius gives four times the area; perspective adds a little.
     assert found["both"][0] / found["inner"][0] == pytest.approx(4.0, rel=0.05)
-    # Four surfaces are behind each other, each with the initial opacity of the slider.
+    # The central ray passes through four surfaces, each with the initial opacity of the slider.
     left = [(1 - material_colour(material)[3] / 255) ** (2 * 2**-0.7) for material in ("skin", "marrow")]
     assert found["both"][4] == pytest.approx(255 * (1 - left[0] * left[1]), abs=3)
     red, _, blue, opacity = found["opaque"][1:]
     assert opacity > 250
-    assert abs(blue / red - 140 / 224) < 0.08  # colour of skin; marrow behind it has 0.39
+    # The colour is that of skin; the marrow behind the skin would have a ratio of 0.39.
+    assert abs(blue / red - 140 / 224) < 0.08
     expected = [0.1 * 255 + 0.9 * value for value in material_colour("marrow")[:3]]
     assert found["cut"][1:] == pytest.approx([*expected, 255], abs=3)
 
 
-def test_the_solids_example_shows_cortex_trabecular_bone_and_marrow_of_a_cut_bone(scene):
+def test_the_solids_example_shows_the_materials_inside_a_cut_bone(scene):
     path = Path(__file__).parents[1] / "examples" / "solids.py"
     spec = importlib.util.spec_from_file_location("solids", path)
     solids = importlib.util.module_from_spec(spec)

@@ -1,4 +1,4 @@
-"""Label export: COCO, landmark points and a table of readings in the format of the Osteoarthritis Initiative."""
+"""Check the label export: COCO, landmark points and readings in the format of the Osteoarthritis Initiative."""
 
 import csv
 import json
@@ -16,7 +16,7 @@ from pssf.cohort import (
 )
 from pssf.io.label_formats import read_pts
 
-# Column names of the Osteoarthritis Initiative's knee readings, without the prefix of the visit.
+# Column names of knee readings in the Osteoarthritis Initiative, without the prefix that identifies the visit.
 OAI_GRADE_COLUMNS = [
     "XRKL",
     *("XROSFM", "XROSFL", "XROSTM", "XROSTL", "XRJSM", "XRJSL", "XRSCFM", "XRSCFL", "XRSCTM", "XRSCTL"),
@@ -93,7 +93,7 @@ def test_exported_labels_equal_the_labels_in_the_radiographs(labelled_cohort, tm
         assert float(reading["nominal_jsw_medial_mm"]) == float(made_row["nominal_jsw_medial_mm"])
         assert annotation["attributes"]["jsw_medial_mm"] == truth.jsw_medial_mm
         assert float(reading["HKANGLE"]) == pytest.approx(180 - truth.readings["hip_knee_ankle_deg"], abs=1e-3)
-        # The manifest and the radiograph hold the same labels.
+        # The manifest and the radiograph file contain the same labels.
         assert float(made_row["reader_grade"]) == truth.reader_grade == float(reading["XRKL_READ"])
         assert float(made_row["truth_jsw_225_mm"]) == pytest.approx(truth.jsw_at_mm[0.225], abs=1e-4)
         assert {name: float(made_row[f"truth_{name}"]) for name in truth.readings} == truth.readings
@@ -120,7 +120,7 @@ def test_inter_margin_label_equals_the_distance_on_the_built_knee(labelled_cohor
 def test_a_lateral_view_raises_an_error_before_labels_are_written(small_protocols, tmp_path):
     overrides = {"knees": [1], "protocols": [small_protocols[0], "lateral"]}
     make_cohort(plan_cohort("quick", seed=5, overrides=overrides), tmp_path / "cohort")
-    with pytest.raises(InputError, match=r"projection must be AP or PA, .* got 'ML'"):
+    with pytest.raises(InputError, match=r"projection must be AP or PA .* got 'ML'"):
         write_labels(tmp_path / "cohort", tmp_path / "labels")
     assert not (tmp_path / "labels").exists()
 
@@ -129,15 +129,15 @@ def test_labels_cannot_be_written_into_the_folder_of_the_cohort(labelled_cohort,
     monkeypatch.chdir(tmp_path)
     (tmp_path / "link").symlink_to(labelled_cohort)
     for folder in (labelled_cohort, tmp_path / "link"):
-        with pytest.raises(InputError, match="out must be another folder than the folder of the cohort"):
+        with pytest.raises(InputError, match="out must differ from the cohort folder"):
             write_labels(labelled_cohort, folder)
     assert verify_cohort(labelled_cohort).faults == ()
 
 
 def test_labels_of_a_folder_without_a_cohort_raise_an_error(tmp_path):
-    with pytest.raises(InputError, match=r"a finished cohort with manifest\.csv"):
+    with pytest.raises(InputError, match=r"a completed cohort with manifest\.csv"):
         write_labels(tmp_path, tmp_path / "out")
     assert not (tmp_path / "out").exists()
     (tmp_path / "torn.pts").write_text("version: 1\n{\n1 2\n3\n}")
-    with pytest.raises(InputError, match=r"torn\.pts: landmarks must be 2"):
+    with pytest.raises(InputError, match=r"torn\.pts: number of landmarks must be 2"):
         read_pts(tmp_path / "torn.pts", ["a", "b"])

@@ -1,4 +1,4 @@
-"""Contour landmarks of femur and tibia, and their location on projected contours."""
+"""Check contour landmarks of femur and tibia and their location on projected contours."""
 
 import dataclasses
 
@@ -21,7 +21,7 @@ from pssf.geometry.view import (
 
 REFERENCE = pssf.load_protocol("reference")
 FLOOR_LANDMARKS = ("tibia_medial_1", "tibia_medial_2")
-# The source is so far away that magnification is 1.
+# View from a source so distant that the magnification is 1.
 FAR = View(source_mm=(0.0, -1e7, 0.0), centre_mm=(0.0, 200.0, 0.0), rows=401, cols=401, pixel_mm=0.5)
 
 
@@ -35,7 +35,7 @@ def find_surface(built, name):
 
 
 def compute_outline_row(mesh, view, col, lowest):
-    """Compute the row of a projected mesh's outline at a column, which may be fractional."""
+    """Compute the row at which the outline of a projected mesh crosses a column, which may be fractional."""
     projected = project_points(mesh.vertices, view)
     return compute_outline_rows(
         np.column_stack((projected[:, 0], projected[:, 1] - col + 1e4)), find_edges(mesh.faces), 10_000, 1, lowest
@@ -74,7 +74,7 @@ def test_landmarks_of_a_left_knee_mirror_those_of_a_right_knee(built, knee):
         assert_allclose(left[name], (row, REFERENCE.cols - 1 - col), atol=1e-9)
 
 
-def test_landmarks_do_not_depend_on_pixel_size_and_matrix(built, landmarks):
+def test_landmark_positions_do_not_depend_on_pixel_size_and_matrix(built, landmarks):
     coarse = dataclasses.replace(REFERENCE, rows=331, cols=501, pixel_mm=0.47)
     for name, (row, col) in built.truth(coarse).landmarks_px.items():
         if name in CONTOUR_LANDMARKS:
@@ -93,7 +93,7 @@ def test_an_osteophyte_moves_the_edge_landmark_beyond_the_plateau(landmarks, kne
 
 
 def build_dished_joint(rim_mm, tilt=0.0):
-    """Build a plateau of 76 mm, concave from front to back, with two spines, below a slab with a notch."""
+    """Build a tibial plateau 76 mm wide, concave from front to back, with two spines; and a femur with a notch."""
     x, y = np.linspace(-38, 38, 305), np.linspace(-24, 24, 97)
     gx, gy = np.meshgrid(x, y, indexing="ij")
     spines = 9 * np.exp(-(((np.abs(gx) - 8) / 2.5) ** 2) - (gy / 8) ** 2)
@@ -108,18 +108,18 @@ def test_points_beside_the_spines_are_on_the_floor_or_the_contour():
         landmarks = find_contour_landmarks(*build_dished_joint(rim), FAR, 1)
         for name in FLOOR_LANDMARKS:
             assert_allclose((200 - landmarks[name][0]) * 0.5, 0.0, atol=0.15)
-        # The lateral points are on the contour.
+        # The lateral landmarks are on the contour, not on the floor of the plateau.
         for name in ("tibia_lateral_1", "tibia_lateral_2"):
             assert_allclose((200 - landmarks[name][0]) * 0.5, rim, atol=0.15)
         assert_allclose((200 - landmarks["tibia_medial_edge"][0]) * 0.5, rim, atol=1e-3)
 
 
-def test_floor_of_a_sloping_plateau_is_a_quarter_of_its_depth_from_behind():
+def test_the_floor_of_a_tilted_plateau_is_at_a_quarter_of_its_depth():
     landmarks = find_contour_landmarks(*build_dished_joint(0.0, tilt=-0.05), FAR, 1)
     assert_allclose((200 - landmarks["tibia_medial_1"][0]) * 0.5, -0.6, atol=0.05)
 
 
-def test_plateau_points_are_at_fixed_fractions_of_the_way_to_the_spine():
+def test_plateau_landmarks_are_at_fixed_fractions_from_edge_to_spine():
     landmarks = find_contour_landmarks(*build_dished_joint(2.0), FAR, 1)
     x = {name: (col - 200) * 0.5 for name, (_, col) in landmarks.items()}
     assert_allclose((x["tibia_medial_edge"], x["medial_spine"]), (38.0, 8.0), atol=0.1)
@@ -138,7 +138,7 @@ def test_notch_landmarks_are_at_a_fixed_fraction_of_the_notch_height():
     assert_allclose(landmarks["femur_lateral_condyle"][1], half_way, atol=0.06)
 
 
-def test_edge_landmarks_are_where_lines_at_30_degrees_touch_the_bones(built, landmarks, knee):
+def test_edge_landmarks_are_points_where_30_degree_lines_touch_the_bones(built, landmarks, knee):
     medial = 1 if knee.side == "right" else -1
     for bone, up in (("tibia", -1), ("femur", 1)):
         # The lines are defined along the axes of the leg, not of the image.

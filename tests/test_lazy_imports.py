@@ -1,4 +1,4 @@
-"""Modules loaded at import and by the help text; unlike a time, they do not depend on the machine."""
+"""Check which modules `import pssf` and the help text load; unlike run times, modules do not depend on the computer."""
 
 import json
 import subprocess
@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-# None of these is needed to import the package or to print the help text.
+# Libraries that are not needed to import the package or to print the help text.
 HEAVY = (
     "scipy", "numba", "pandas", "matplotlib", "trimesh", "xraylib", "spekpy", "manifold3d", "embreex", "pydicom",
     "sklearn", "radiomics", "dask",
@@ -24,7 +24,7 @@ assert "simulate" in output.getvalue()
 
 
 def list_loaded_modules(code):
-    """List the modules that a new interpreter has loaded after some code."""
+    """List the modules that are loaded in a new interpreter after running code."""
     whole = f"import sys\n{code}\nimport json\nprint(json.dumps(sorted(sys.modules)))"
     done = subprocess.run(
         [sys.executable, "-c", whole], capture_output=True, text=True, cwd=Path(__file__).parents[1], check=False
@@ -33,9 +33,9 @@ def list_loaded_modules(code):
     return json.loads(done.stdout)
 
 
-# The limits are a third above the counts with Python 3.11 (66 and 155); importing the whole package gives 1,458.
+# The limits are a third above the counts with Python 3.11 (66 and 155); all modules of the package load 1,458.
 @pytest.mark.parametrize(("code", "most"), [(IMPORT, 90), (HELP, 210)], ids=["import", "help"])
-def test_heavy_libraries_are_not_loaded_at_import_or_by_the_help(code, most):
+def test_neither_import_nor_help_loads_heavy_libraries(code, most):
     modules = list_loaded_modules(code)
     assert not {name.split(".")[0] for name in modules} & set(HEAVY)
     assert len(modules) <= most

@@ -24,11 +24,12 @@ def make_manifest(subjects: int = 90, seed: int = 0) -> pd.DataFrame:
     return both.assign(sha256=[f"{k:064x}" for k in range(len(both))], radiograph=range(len(both)))
 
 
-def test_a_valid_manifest_gives_no_warnings_beyond_chance():
+def test_warnings_for_valid_manifests_are_as_rare_as_chance():
     require_consistent_identifiers(make_manifest())
     warnings = [find_leakage_warnings(make_manifest(seed=seed)) for seed in range(200)]
-    assert not any("protocols" in one for lines in warnings for one in lines)  # all knees have both protocols
-    # One in twenty manifests gives a warning of the order by chance.
+    # All knees are imaged under both protocols, so protocol and grade are independent.
+    assert not any("protocols" in one for lines in warnings for one in lines)
+    # One in twenty manifests gives a warning about the order of subjects by chance.
     assert sum(map(len, warnings)) <= binom.isf(1e-3, 200, 0.05)
     assert not find_leakage_notes(make_manifest())
 
@@ -40,7 +41,7 @@ def test_a_valid_manifest_gives_no_warnings_beyond_chance():
         ("knee", 5, "knee 5 must have one subject, got 3 and 5"),
     ],
 )
-def test_one_file_or_knee_of_two_subjects_raises_an_error(column, value, message):
+def test_a_file_or_knee_with_two_subjects_raises_an_error(column, value, message):
     table = make_manifest()
     table.loc[3, column] = value
     with pytest.raises(InputError, match=message):
@@ -48,14 +49,14 @@ def test_one_file_or_knee_of_two_subjects_raises_an_error(column, value, message
 
 
 @pytest.mark.parametrize(("column", "value"), [("grade", 4), ("side", "left")])
-def test_one_knee_with_two_grades_or_sides_raises_an_error(column, value):
+def test_a_knee_with_two_grades_or_sides_raises_an_error(column, value):
     table = make_manifest()
     table.loc[3, column] = value
     with pytest.raises(InputError, match=rf"knee 3 must have one {column}, got {value} and "):
         require_consistent_identifiers(table)
 
 
-def test_one_file_of_two_knees_raises_an_error():
+def test_a_file_with_two_knees_raises_an_error():
     table = make_manifest()
     table.loc[[3, 93], "subject"] = 5
     table.loc[3, "sha256"] = table.loc[5, "sha256"]
@@ -68,12 +69,12 @@ def test_an_association_of_grade_and_protocol_is_reported_with_cramers_v():
     table = table[(table["grade"] != 2) | (table["protocol"] == "other") | (table["subject"] % 5 == 0)]
     (warnings,) = find_leakage_warnings(table)
     assert "Cramér's V 0.2" in warnings or "Cramér's V 0.3" in warnings
-    assert "grade 2 is" in warnings
-    assert "under reference" in warnings
+    assert "the fraction of grade 2 is" in warnings
+    assert "under protocol reference" in warnings
     alone = make_manifest().query("(grade == 2) == (protocol == 'other')")
     assert (
         "Cramér's V 0.99" in find_leakage_warnings(alone)[0]
-    )  # Bergsma's corrected V of a complete association of 90 subjects
+    )  # V of a complete association of 90 subjects, with Bergsma's correction
 
 
 def make_sites(counts: list[list[int]], seed: int = 0) -> pd.DataFrame:
@@ -87,7 +88,7 @@ def make_sites(counts: list[list[int]], seed: int = 0) -> pd.DataFrame:
 @pytest.mark.parametrize(
     ("counts", "size"),
     [
-        # sqrt((phi^2 - 1/(n-1)) / (1 - 1/(n-1))), phi^2 = (difference of fractions)^2: Bergsma 2013, eq. 3, two by two.
+        # V^2 = (phi^2 - 1/(n-1)) / (1 - 1/(n-1)), phi = difference of fractions (Bergsma 2013, eq. 3, 2 x 2).
         ([[10, 2], [2, 10]], np.sqrt((4 / 9 - 1 / 23) / (1 - 1 / 23))),
         ([[14, 4], [4, 14]], np.sqrt(((10 / 18) ** 2 - 1 / 35) / (1 - 1 / 35))),
         ([[21, 9], [9, 21]], np.sqrt((0.4**2 - 1 / 59) / (1 - 1 / 59))),
@@ -95,14 +96,14 @@ def make_sites(counts: list[list[int]], seed: int = 0) -> pd.DataFrame:
     ],
     ids=["24", "36", "60", "180"],
 )
-def test_an_association_of_protocol_and_grade_gives_a_warning(counts, size):
+def test_protocols_associated_with_grade_give_a_warning_with_cramers_v(counts, size):
     (warnings,) = [one for one in find_leakage_warnings(make_sites(counts)) if "protocols" in one]
     assert f"Cramér's V {size:.2f}, p 0.0" in warnings or f"Cramér's V {size:.2f}, p < 0.001" in warnings
-    assert "One in twenty cohorts without such an association" in warnings
+    assert "in one of twenty cohorts without an association" in warnings
     assert not find_leakage_notes(make_sites(counts))
 
 
-def test_a_chance_association_gives_a_note_without_a_warning():
+def test_a_chance_association_of_protocol_and_grade_gives_only_a_note():
     table = make_sites([[11, 9], [9, 11]])
     assert not [one for one in find_leakage_warnings(table) if "protocols" in one]
     (note,) = find_leakage_notes(table)
@@ -111,7 +112,7 @@ def test_a_chance_association_gives_a_note_without_a_warning():
 
 @pytest.mark.parametrize("pairs", [False, True], ids=["one knee", "two identical knees"])
 @pytest.mark.parametrize("subjects", [24, 90])
-def test_at_most_one_random_cohort_in_twenty_gives_a_site_warning(subjects, pairs):
+def test_at_most_one_in_twenty_random_cohorts_gives_a_protocol_warning(subjects, pairs):
     found = 0
     for seed in range(200):
         rng = np.random.default_rng([7, seed])
@@ -138,12 +139,12 @@ def make_ordered_subjects(grades, name=int) -> pd.DataFrame:
     ],
     ids=["blocks", "short blocks", "in turn", "even and odd"],
 )
-def test_subjects_ordered_in_blocks_of_a_grade_give_a_warning(grades, same, name):
+def test_subjects_ordered_in_blocks_of_equal_grade_give_a_warning(grades, same, name):
     (warnings,) = find_leakage_warnings(make_ordered_subjects(grades, name))
-    assert f"{100 * same:.0f} % have the same grade as the subject before" in warnings
+    assert f"{100 * same:.0f} % have the same grade as the preceding subject" in warnings
 
 
-def test_neighbour_statistics_equal_those_of_all_permutations():
+def test_statistics_of_neighbouring_grades_equal_those_of_permutations():
     grades = [0, 0, 0, 1, 1, 2]
     pairs = [sum(a == b for a, b in pairwise(order)) for order in set(permutations(grades))]
     fraction, expected, p = _assess_neighbours(np.array(grades))

@@ -1,4 +1,4 @@
-"""Learning curves and power: planned sample sizes against the power that simulated cohorts reach."""
+"""Check learning curves and power: planned sample sizes are compared with the power of simulated cohorts."""
 
 import numpy as np
 import pandas as pd
@@ -15,7 +15,7 @@ SPLITS = 12
 
 
 def make_splits(subjects: int, seed: int) -> pd.DataFrame:
-    """Make the splits of a cohort in which one marker has an AUC of 0.84 and another one of 0.64."""
+    """Make the splits of a cohort with two markers that have AUCs of 0.84 and 0.64."""
     rng = np.random.default_rng([7, seed])
     grade = 2 * (np.arange(subjects) % 2)
     markers = {"both": 1.4, "measured": 0.5}
@@ -62,7 +62,7 @@ def test_power_of_independent_splits_equals_that_of_a_paired_t_test():
     assert np.mean(np.array(p) < 0.05) == pytest.approx(expected, abs=0.1)
 
 
-def test_a_cohort_of_the_needed_size_has_the_target_power():
+def test_a_cohort_of_the_required_size_has_the_target_power():
     error = 0.05
     needed = learning_curves.subjects_needed(error, 0.1, 20, 100)
     assert learning_curves.compute_power(error * np.sqrt(100 / needed), 0.1, 20) == pytest.approx(
@@ -76,22 +76,22 @@ def test_a_cohort_of_the_needed_size_has_the_target_power():
 
 
 def test_cohorts_of_the_planned_size_reach_the_planned_power():
-    # AUC of two normal distributions: Phi(shift / sqrt(2)).
+    # Difference between the AUCs Phi(shift / sqrt(2)) of normal distributions with shifts of 1.4 and 0.5 SD.
     difference = 0.8389 - 0.6382
     needed = plan_power(80, 20, difference)["required_subjects"].median()
-    # The variance correction is conservative, so the power may exceed the plan; the lower bound is sampling error.
+    # The variance correction is conservative, so the power may exceed 0.8; the lower bound allows for sampling error.
     assert 0.68 <= estimate_power(2 * round(needed / 2), 120) <= 0.97
     assert estimate_power(2 * round(needed / 8), 120) < 0.6
 
 
-def test_variance_interval_of_the_needed_number_covers_95_percent():
+def test_the_variance_interval_of_the_required_size_has_95_percent_cover():
     rng = np.random.default_rng(1)
     variances = rng.normal(size=(4000, 10)).var(axis=1, ddof=1)
     low, high = learning_curves.variance_interval_factors(10)
     assert np.mean((variances * low <= 1) & (variances * high >= 1)) == pytest.approx(0.95, abs=0.015)
 
 
-def test_learning_curve_gains_are_paired_on_the_same_test_subjects():
+def test_learning_curve_gains_are_computed_on_the_same_test_subjects():
     rng = np.random.default_rng(2)
     rows = []
     for repeat in range(8):
@@ -103,20 +103,20 @@ def test_learning_curve_gains_are_paired_on_the_same_test_subjects():
     table = learning_curves.compute_learning_curves(pd.DataFrame(rows)).set_index("training_subjects")
     assert np.isnan(table.loc[40, "gain"])
     assert table.loc[80, "gain"] == pytest.approx(0.1, abs=0.002)
-    # The variance is that of the smaller fraction: 20 test subjects over 40 training subjects.
+    # The variance is corrected by the ratio of the smaller fraction: 20 test subjects over 40 training subjects.
     auc_of = pd.DataFrame(rows).pivot(index="repeat", columns="training_fraction", values="auc")
     expected = estimate_mean((auc_of[1.0] - auc_of[0.5]).to_numpy(), 20 / 40)
     assert table.loc[80, ["gain_low", "gain_high"]].tolist() == pytest.approx([expected.low, expected.high])
-    # The variation between splits is common to both fractions and cancels in the interval of the gain.
+    # Variation between splits is common to both training fractions and cancels in the gain.
     assert table.loc[80, "gain_high"] - table.loc[80, "gain_low"] < table.loc[80, "high"] - table.loc[80, "low"]
 
 
-def test_splits_without_variance_plan_no_sample_size():
+def test_splits_without_variance_give_no_sample_size():
     same = make_splits(60, 0).assign(auc=0.8)
     assert learning_curves.tabulate_power(same, pd.Series({"0 vs 2": 60}), 0.05).empty
 
 
-def test_no_power_is_planned_for_an_auc_above_one():
+def test_no_power_is_computed_for_an_auc_above_one():
     table = make_splits(60, 0)
     nearly = table.assign(auc=np.where(table["predictor_set"] == "both", 1.0, 0.96 + 0.001 * (table["repeat"] % 2)))
     subjects = pd.Series({"0 vs 2": 60})

@@ -25,14 +25,14 @@ def test_the_hip_knee_ankle_angle_of_a_default_knee_is_near_180_degrees():
     assert (usual, bowed, far) == (180.4, 184.4, 182.5)
 
 
-def test_alignment_returns_four_named_measures():
+def test_limb_alignment_has_four_named_measures():
     read = compute_alignment(pssf.Knee(tibial_slope_deg=7.5, insall_salvati=1.3), FEMUR)
     assert read == {
         "femorotibial_deg": 175.0, "hip_knee_ankle_deg": 180.4, "tibial_slope_deg": 7.5, "insall_salvati": 1.3,
     }  # fmt: skip
 
 
-def test_the_mechanical_axis_changes_the_label_but_no_pixel():
+def test_the_mechanical_axis_changes_a_label_but_no_pixel():
     near = pssf.Knee()
     far = dataclasses.replace(near, mechanical_axis_deg=7.0)
     coarse = dataclasses.replace(pssf.load_protocol("fixed_flexion"), rows=60, cols=60, pixel_mm=2.0)
@@ -47,7 +47,7 @@ def test_sampling_the_mechanical_axis_changes_no_other_parameter():
         pssf.sample_knee(grade=2, rng=np.random.default_rng(seed), grade_table="population") for seed in range(200)
     ]
     angles = np.array([knee.mechanical_axis_deg for knee in knees])
-    # Bounds are five standard errors. Truncation at two standard deviations reduces the SD from 0.8 to 0.768.
+    # Tolerances are five standard errors. Truncation at two standard deviations reduces the SD from 0.8 to 0.768.
     assert angles.mean() == pytest.approx(5.4, abs=5 * 0.8 / np.sqrt(200))
     assert angles.std() == pytest.approx(0.768, rel=5 / np.sqrt(2 * 200))
     rng = np.random.default_rng(3)

@@ -1,4 +1,4 @@
-"""Prediction of the user's linear images, and warnings for images with an unknown kind of pixels."""
+"""Check predictions for linear images of the user, and warnings about images with an unknown pixel type."""
 
 import numpy as np
 import pandas as pd
@@ -26,7 +26,7 @@ TABLE = radiomics_tables().localisation
 
 @pytest.fixture
 def plain(linear, tmp_path):  # noqa: F811
-    """Save the same pixels without metadata; return the path and the known side and pixel size."""
+    """Save the pixels of `linear` without metadata; return the path, and the known side and pixel size."""
     radiograph = pssf.load(linear[0])
     path = tmp_path / "plain.tif"
     tifffile.imwrite(path, radiograph.pixels)
@@ -34,7 +34,7 @@ def plain(linear, tmp_path):  # noqa: F811
 
 
 @pytest.mark.parametrize("name", ["lr_l1_0v2_reference", "lr_l1_0v2_films"])
-def test_plain_linear_pixels_give_the_prediction_of_the_package_file(files, linear, plain, name):  # noqa: F811
+def test_linear_pixels_without_metadata_give_the_same_prediction(files, linear, plain, name):  # noqa: F811
     path, known = plain
     own = predict_films(load_model(files[name]), [describe_film(linear[0], **known)], linear[0].parent)
     plain_result = predict_films(load_model(files[name]), [describe_film(path, **known)], path.parent, linear=True)
@@ -45,33 +45,33 @@ def test_plain_linear_pixels_give_the_prediction_of_the_package_file(files, line
 
 
 @pytest.mark.parametrize("name", ["lr_l1_0v2_reference", "lr_l1_0v2_films"])
-def test_an_image_with_unknown_pixels_has_a_warning_in_its_row(files, plain, name, tmp_path):  # noqa: F811
+def test_an_image_with_an_unknown_pixel_type_has_a_warning_in_its_row(files, plain, name, tmp_path):  # noqa: F811
     path, known = plain
     done = predict_films(load_model(files[name]), [describe_film(path, **known)], tmp_path)
     assert done.table["status"].tolist() == ["found"]
-    assert "the file does not say whether its pixels are linear" in done.table["warning"].iloc[0]
+    assert "the file does not state whether its pixels are linear" in done.table["warning"].iloc[0]
     assert "--linear" in done.table["warning"].iloc[0]
     assert done.warnings == (f"{path.name}: {done.table['warning'].iloc[0]}",)
 
 
-def test_the_command_warns_of_unknown_pixels_unless_linear_is_given(files, plain, tmp_path, monkeypatch, capsys):  # noqa: F811
+def test_the_option_linear_suppresses_warnings_of_unknown_pixels(files, plain, tmp_path, monkeypatch, capsys):  # noqa: F811
     path, known = plain
     read = ("predict", files["lr_l1_0v2_reference"], path, "--workers", 1, "--side", known["side"])
     read += ("--pixel-mm", known["pixel_mm"])
     code, _, errors = run(monkeypatch, capsys, *read, "--out", tmp_path / "a")
     assert code == 0
-    assert f"{path}: the file does not say" in errors
-    assert "does not say" in pd.read_csv(tmp_path / "a" / "film_predictions.csv")["warning"].iloc[0]
+    assert f"{path}: the file does not state" in errors
+    assert "does not state" in pd.read_csv(tmp_path / "a" / "film_predictions.csv")["warning"].iloc[0]
     code, _, errors = run(monkeypatch, capsys, *read, "--linear", "--out", tmp_path / "b")
     assert code == 0
-    assert "does not say" not in errors
+    assert "does not state" not in errors
     table = pd.read_csv(tmp_path / "b" / "film_predictions.csv")
     assert table["warning"].isna().all()
     assert table["film_polarity"].tolist() == ["linear"]
     assert (tmp_path / "b" / "pictures" / "plain.png").exists()
 
 
-def test_linear_pixels_need_a_side_a_pixel_size_and_16_bit(files, plain, tmp_path):  # noqa: F811
+def test_linear_pixels_require_a_side_a_pixel_size_and_16_bits(files, plain, tmp_path):  # noqa: F811
     path, known = plain
     Image.fromarray(np.full((80, 80), 9, np.uint8)).save(tmp_path / "eight.png")
     films = [
@@ -104,17 +104,17 @@ def test_linear_pixels_are_read_unchanged_from_every_format(tmp_path):
     [
         (
             lambda path: write_dicom(path / "x.dcm", np.ones((80, 80))),
-            "PresentationIntentType must state linear pixels, got FOR PRESENTATION",
+            "PresentationIntentType must declare linear pixels, got FOR PRESENTATION",
         ),
         (
             lambda path: write_dicom(
                 path / "x.dcm", np.ones((80, 80)), PresentationIntentType="", PixelIntensityRelationship="LOG"
             ),
-            "PixelIntensityRelationship must state linear pixels, got LOG",
+            "PixelIntensityRelationship must declare linear pixels, got LOG",
         ),
         (
             lambda path: _write_tiff(path, np.ones((80, 80), np.float32)),
-            "must be one grey image of 8 to 16 bit, got .* of float32",
+            "must be one grey image with 8 to 16 bits, got .* of float32",
         ),
         (lambda path: _write_tiff(path, np.ones((80, 80, 3), np.uint16)), r"\(80, 80, 3\) of uint16"),
         (lambda path: _write_tiff(path, np.full((80, 80), -3, np.int16)), "-3 to -3 of 16 bit"),
@@ -141,7 +141,7 @@ def test_a_second_knee_in_the_image_is_detected(side, col):
     assert has_second_knee(compute_density(make_phantom_pair()), side, col, PIXEL_MM, [TEMPLATE], TABLE)
 
 
-def test_one_knee_in_a_wide_field_is_not_detected_as_two():
+def test_a_single_knee_in_a_wide_field_is_not_detected_as_two():
     air = np.full(SHAPE, 30000, np.uint16)
     alone = np.hstack([make_phantom(160, 180, noise=1.0), air])
     assert not has_second_knee(compute_density(alone), "right", 180, PIXEL_MM, [TEMPLATE], TABLE)

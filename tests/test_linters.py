@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[1]
 LAYERS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"][0]["layers"]
 LINT_IMPORTS = "from importlinter.cli import lint_imports_command; lint_imports_command()"
 DOCUMENTED = '"""Module."""\n\n\n'
-# A package that imports one of its modules, which imports a third one, which imports the package.
+# A circular import: package a imports module a.b, which imports module a.c, which imports package a.
 CIRCLE = {"__init__.py": "", "a/__init__.py": "from .b import x\n", "a/b.py": "from . import c\n"}
 CIRCLE |= {"a/c.py": "from ..a import y\n"}
 
@@ -29,7 +29,7 @@ def write_files(folder, files):
 
 
 def lint_planted_imports(folder, files):
-    """Run import-linter on a small package with all layers of the contract, and with some more files."""
+    """Run import-linter on an example package that contains all layers of the contract and additional files."""
     shutil.copy(ROOT / "pyproject.toml", folder)
     write_files(folder / "pssf", {"__init__.py": "", **{f"{layer}/__init__.py": "" for layer in LAYERS}, **files})
     command = [sys.executable, "-c", LINT_IMPORTS, "--no-cache", "--no-logo"]
@@ -37,7 +37,7 @@ def lint_planted_imports(folder, files):
 
 
 def find_circles_of_packages(name):
-    """Find modules that import a package around them which imports them; import-linter ignores such imports."""
+    """Find modules that import a parent package that imports them; import-linter does not detect such circles."""
     graph = grimp.build_graph(name, exclude_type_checking_imports=True, cache_dir=None)
     return [
         (module, package)
@@ -68,23 +68,23 @@ def test_import_linter_detects_planted_imports(tmp_path, files, message):
     assert message in done.stdout
 
 
-def test_no_module_imports_a_package_around_it_that_imports_the_module():
+def test_no_module_imports_a_parent_package_that_imports_the_module():
     assert not find_circles_of_packages("pssf")
 
 
-def test_a_planted_circle_of_a_package_and_its_module_is_detected(tmp_path, monkeypatch):
+def test_a_planted_circular_import_of_package_and_module_is_detected(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     write_files(tmp_path / "planted", CIRCLE)
     assert find_circles_of_packages("planted") == [("planted.a.c", "planted.a")]
 
 
-def test_the_front_page_lists_the_layers_of_the_import_contract():
+def test_the_package_docstring_lists_the_layers_of_the_import_contract():
     text = ast.get_docstring(ast.parse(Path(pssf.__file__).read_text()))
     assert [line.split()[0] for line in text.split("\n\n")[1].splitlines()] == LAYERS[::-1]
 
 
 def check_text(path, text):
-    """Return the messages of ruff about a text in the place of a file."""
+    """Return the messages of ruff about a text that is checked under a file name."""
     command = [sys.executable, "-m", "ruff", "check", "--output-format", "concise", "--stdin-filename", path, "-"]
     return subprocess.run(command, cwd=ROOT, input=text, capture_output=True, text=True, check=False).stdout
 
@@ -112,5 +112,5 @@ def test_ruff_detects_planted_violations(path, text, rule):
         ("pssf/data/a.py", f"{DOCUMENTED}from .data_files import load_data_table\n", "TID251"),
     ],
 )
-def test_ruff_allows_keywords_and_reading_of_tables_in_their_package(path, text, rule):
+def test_ruff_allows_statements_that_are_valid_in_their_package(path, text, rule):
     assert f" {rule} " not in check_text(path, text)

@@ -1,4 +1,4 @@
-"""Distance between the located and the true joint line."""
+"""Check the distance between located and true joint line."""
 
 import numpy as np
 import pandas as pd
@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from pssf.study.statistics.features.localisation_error import add_localisation_errors, summarise_localisation
 
 
-def test_localisation_errors_refer_to_the_joint_and_failures_are_counted():
+def test_localisation_errors_are_in_mm_and_failures_are_counted():
     table = pd.DataFrame(
         {
             "protocol": ["reference"] * 3,

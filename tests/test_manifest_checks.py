@@ -1,4 +1,4 @@
-"""Manifest checks: `study.run` and `study.measure` raise the same errors as the command line."""
+"""Check that `study.run` and `study.measure` reject invalid manifests with the same errors as the command line."""
 
 import dataclasses
 
@@ -82,10 +82,10 @@ def test_run_and_measure_reject_a_file_in_two_rows(entry, column, tmp_path):
     ("change", "why"),
     [
         (lambda table: table.to_dict("records"), "must be a pandas DataFrame, got list"),
-        (lambda table: table.head(0), "one row per radiograph, got none"),
+        (lambda table: table.head(0), "one row per radiograph, got no rows"),
         (
             lambda table: pd.concat([table, table[["grade"]]], axis=1),
-            "must have each column once, got column 'grade' twice",
+            "must contain each column once, got 'grade' twice",
         ),
     ],
 )
@@ -100,13 +100,13 @@ def test_run_and_measure_reject_an_invalid_table_of_radiographs(entry, change, w
         )
 
 
-def test_repeats_are_checked_like_the_manifest(tmp_path):
+def test_manifests_of_repeats_are_checked_like_the_main_manifest(tmp_path):
     table = block_knee_cohort.select_text_subjects()
     repeats = table.head(2).assign(
         kind="noise", repeat_index=1, radiograph=["a", "b"], file=["a", "b"], sha256=["a", "b"]
     )
     repeats["side"] = ["up", "left"]
-    with pytest.raises(InputError, match=r"manifest of repeats: radiograph a: side must be one of .*, got 'up'"):
+    with pytest.raises(InputError, match=r"retest manifest: radiograph a: side must be one of .*, got 'up'"):
         study.measure(
             table,
             block_knee_cohort.make_cohort().load,
@@ -118,16 +118,16 @@ def test_repeats_are_checked_like_the_manifest(tmp_path):
 
 
 @given(grades=st.lists(st.sampled_from([0, 1, 2, 3, 4]), min_size=1, max_size=9), kind=st.sampled_from([int, float]))
-def test_whole_float_grades_are_converted_to_integers(grades, kind):
+def test_grades_stored_as_floats_are_converted_to_integers(grades, kind):
     checked = require_manifest(pd.DataFrame({"grade": np.array(grades, kind)}))
     assert checked["grade"].tolist() == grades
     assert checked["grade"].dtype == np.int64
 
 
-def test_film_sets_hold_each_film_once_and_only_films():
+def test_a_film_set_contains_only_films_and_each_film_once():
     film = Film(file="a.png", grade=0, subject="1", side=None, pixel_mm=None, sha256="0")
     given = {"load": print, "load_cohort": print, "protocol": "reference"}
     with pytest.raises(InputError, match=r"each file once, got 'a\.png' twice"):
         FilmSet(films=(film, dataclasses.replace(film, grade=None)), **given)
-    with pytest.raises(InputError, match="films must be of type Film"):
+    with pytest.raises(InputError, match="films must contain Film objects"):
         FilmSet(films=("a.png",), **given)

@@ -1,4 +1,4 @@
-"""Marginal osteophytes are broad, are at the specified location and protrude by their size."""
+"""Check that marginal osteophytes are broad, have the specified location and protrude by the specified size."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ MARGINS = ("medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia")
 
 
 def grow_osteophyte(site: str, size_mm: float, **where: float):
-    """Grow an osteophyte; return it, the form of its bone, and vertices of the margin without it."""
+    """Grow an osteophyte; return the grown bone, the bone shape, and margin vertices of the bone without osteophyte."""
     grow, mean, form, band = BONES[site.split("_")[1]]
     points = extract_mesh(mean.outer).vertices
     points = points[(points[:, 2] >= band[0]) & (points[:, 2] <= band[1])]
@@ -89,14 +89,14 @@ def test_osteophyte_interior_joins_trabecular_bone_inside_the_cortex():
     assert 0.5 < reach[0] - reach[1] < 1.8
 
 
-def test_an_osteophyte_that_hides_the_tip_of_another_raises_an_error():
+def test_an_osteophyte_that_covers_the_tip_of_another_raises_an_error():
     small, large = (grow_osteophyte("medial_femur", size)[0].shapes[0] for size in (1.0, 6.0))
     osteophyte = pssf.Osteophyte(site="medial_femur", size_mm=1.0)
-    with pytest.raises(pssf.InputError, match=r"must not hide the farthest point of another one, .*: make them"):
+    with pytest.raises(pssf.InputError, match=r"must not hide the farthest point of another osteophyte, .*: make them"):
         osteophyte_growth._require_tips_not_hidden((osteophyte,), [small, large], "femur")
 
 
-def test_two_osteophytes_of_one_margin_share_one_mask():
+def test_two_osteophytes_on_the_same_margin_have_a_common_mask():
     osteophytes = tuple(pssf.Osteophyte(site="medial_tibia", size_mm=2.0, place=place) for place in (-0.8, 0.5))
     meshes = pssf.build(pssf.Knee(osteophytes=osteophytes)).osteophyte_meshes()
     assert set(meshes) == {"medial_tibia"}
@@ -106,7 +106,7 @@ def test_two_osteophytes_of_one_margin_share_one_mask():
 
 
 @pytest.mark.parametrize(("side", "inwards"), [("medial", -1), ("lateral", 1)])
-def test_a_spine_osteophyte_is_a_ridge_that_leans_to_the_other_spine(side, inwards):
+def test_a_spine_osteophyte_is_a_ridge_leaning_towards_the_other_spine(side, inwards):
     grow, mean, form, _ = BONES["tibia"]
     bare = extract_mesh(mean.outer).vertices
     bare = bare[bare[:, 0] * inwards < -1]

@@ -1,4 +1,4 @@
-"""Files of masks: TIFF pages and DICOM segmentations."""
+"""Check mask files: TIFF pages and DICOM segmentations."""
 
 import dataclasses
 
@@ -21,7 +21,7 @@ def radiograph(built, small):
 
 @pytest.fixture(scope="module")
 def unusual(radiograph):
-    """Make random masks on a detector of 7 x 5 pixels, which fill no whole bytes; one mask is empty."""
+    """Make random masks of 7 x 5 pixels, which is not a multiple of 8 pixels; one mask is empty."""
     rng = np.random.default_rng(5)
     masks = {name: rng.random((7, 5)) < 0.5 for name in ("patella", "roi", "lateral_spine_osteophyte", "meniscus")}
     masks["patella"][:] = False
@@ -32,7 +32,7 @@ def unusual(radiograph):
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
 @pytest.mark.parametrize("which", ["radiograph", "unusual"])
-def test_saved_masks_are_loaded_unchanged_and_in_the_same_order(which, tmp_path, suffix, request):
+def test_saved_masks_are_loaded_unchanged_in_the_same_order(which, tmp_path, suffix, request):
     truth = request.getfixturevalue(which).truth
     back = pssf.load_masks(pssf.save_masks(request.getfixturevalue(which), tmp_path / f"masks{suffix}"))
     assert list(back) == list(truth.masks)
@@ -52,7 +52,7 @@ def test_the_same_masks_give_an_identical_file(radiograph, tmp_path, suffix):
     assert one == two
 
 
-def test_a_mask_tiff_has_a_named_page_per_mask_and_is_small(radiograph, tmp_path):
+def test_a_mask_tiff_is_small_and_has_a_named_page_for_each_mask(radiograph, tmp_path):
     path = pssf.save_masks(radiograph, tmp_path / "masks.tif")
     with tifffile.TiffFile(path) as tiff:
         assert [page.tags["PageName"].value for page in tiff.pages] == list(radiograph.truth.masks)
@@ -66,7 +66,7 @@ def test_dciodvfy_reports_no_error_in_a_segmentation(radiograph, tmp_path, side)
     assert find_dciodvfy_messages(pssf.save_masks(image, tmp_path / "masks.dcm")) == []
 
 
-def test_dciodvfy_accepts_masks_with_other_names_or_without_a_knee(unusual, tmp_path):
+def test_dciodvfy_accepts_masks_of_scenes_and_of_unusual_names(unusual, tmp_path):
     assert find_dciodvfy_messages(pssf.save_masks(unusual, tmp_path / "masks.dcm")) == []
     assert (
         find_dciodvfy_messages(pssf.save_masks(dataclasses.replace(unusual, knee=None), tmp_path / "scene.dcm")) == []
@@ -86,7 +86,7 @@ def test_a_segmentation_refers_to_the_dicom_of_its_radiograph(radiograph, tmp_pa
     assert found.SyntheticData == "YES"
 
 
-def test_other_masks_of_a_radiograph_are_a_new_object_in_the_same_series(radiograph, tmp_path):
+def test_other_masks_of_a_radiograph_form_a_new_object_of_the_series(radiograph, tmp_path):
     fewer = {name: mask for name, mask in radiograph.truth.masks.items() if name != "fibula"}
     other = dataclasses.replace(radiograph, truth=dataclasses.replace(radiograph.truth, masks=fewer))
     one, two = (pydicom.dcmread(pssf.save_masks(image, tmp_path / "m.dcm")) for image in (radiograph, other))
@@ -117,17 +117,17 @@ def test_simpleitk_reads_the_same_segments(radiograph, tmp_path):
         assert ((frame > 0) == mask).all()
 
 
-def test_saving_masks_without_masks_raises_an_error(knee, small, radiograph, tmp_path):
+def test_saving_a_radiograph_without_masks_as_masks_raises_an_error(knee, small, radiograph, tmp_path):
     for image in (
         dataclasses.replace(radiograph, truth=None),
         dataclasses.replace(radiograph, truth=dataclasses.replace(radiograph.truth, masks={})),
     ):
-        with pytest.raises(pssf.InputError, match=r"must have masks, got masks = none: simulate a Knee with keep="):
+        with pytest.raises(pssf.InputError, match=r"must have masks, got masks = none: simulate the knee with keep="):
             pssf.save_masks(image, tmp_path / "masks.tif")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_mask_of_another_shape_raises_an_error(radiograph, tmp_path):
+def test_a_mask_with_another_shape_than_the_image_raises_an_error(radiograph, tmp_path):
     truth = dataclasses.replace(radiograph.truth, masks={"femur": np.zeros((4, 4), bool)})
     with pytest.raises(pssf.InputError, match=r"mask femur: shape must be \(256, 256\), got \(4, 4\)"):
         pssf.save_masks(dataclasses.replace(radiograph, truth=truth), tmp_path / "masks.tif")

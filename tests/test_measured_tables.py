@@ -1,4 +1,4 @@
-"""Measured tables of the validation pages: what they show, what they were measured on, and which are stale."""
+"""Check the measured tables of the validation pages: content, provenance and detection of stale tables."""
 
 import ast
 import json
@@ -94,7 +94,7 @@ def run(store, *words):
         ("pssf/types.py", "T = int", "T = float", ""),
     ],
 )
-def test_only_what_a_table_depends_on_changes_its_digest(file, before, after, changed, checkout):
+def test_a_table_digest_changes_only_with_its_code_and_data(file, before, after, changed, checkout):
     store = TableStore(checkout)
     layout = store.load_layouts()["decay"]
     first = store.compute_digest(layout)
@@ -103,7 +103,7 @@ def test_only_what_a_table_depends_on_changes_its_digest(file, before, after, ch
     assert [part for part in first if first[part] != second[part]] == ([changed] if changed else [])
 
 
-def test_update_writes_the_table_and_what_it_was_measured_on(checkout, capsys):
+def test_update_writes_a_table_and_the_record_of_its_run(checkout, capsys):
     store = TableStore(checkout)
     assert run(store, "update", checkout / "run") == 0
     assert capsys.readouterr().out.split() == [f"{checkout / 'run'}:", "decay"]
@@ -113,7 +113,7 @@ def test_update_writes_the_table_and_what_it_was_measured_on(checkout, capsys):
     assert record == {"command": COMMAND, "date": "2026-11-22", "machine": "2 cores", "note": "quiet"}
 
 
-def test_update_reads_columns_of_an_earlier_version(checkout):
+def test_update_accepts_column_names_of_an_earlier_version(checkout):
     store = TableStore(checkout)
     replace_text(checkout / "run" / "decay.csv", "rate,", "ratio,")
     assert run(store, "update", checkout / "run", "--rename", "ratio=rate") == 0
@@ -148,7 +148,7 @@ def test_a_table_with_another_command_or_without_digest_is_stale(checkout):
     assert store.list_stale()[0].reason == "command changed"
 
 
-def test_a_run_of_another_checkout_has_the_digest_of_that_checkout(checkout, tmp_path_factory):
+def test_a_run_of_another_checkout_is_stored_with_its_digest(checkout, tmp_path_factory):
     other = tmp_path_factory.mktemp("other")
     for name, text in FILES.items():
         (other / name).parent.mkdir(parents=True, exist_ok=True)
@@ -164,13 +164,13 @@ def test_a_run_of_another_checkout_has_the_digest_of_that_checkout(checkout, tmp
     [
         ("run/decay.csv", "rate,", "ratio,", [], "columns of decay.csv must include 'rate', got ratio, sample"),
         ("run/run.json", "--knees 7", "--knees 9", [], "contains no table or picture that its command measures"),
-        ("run/run.json", '"command"', '"was"', [], "must have a run.json, got none: give --command"),
+        ("run/run.json", '"command"', '"was"', [], "contains no run.json: specify its command with --command"),
         ("run/run.json", "2", "2", ["--only", "decai"], "name must be one of decay, got decai"),
-        ("run/run.json", "2", "2", ["--checkout", "run"], "checkout must be a source folder with pssf in it, got "),
+        ("run/run.json", "2", "2", ["--checkout", "run"], "checkout must be a source folder that contains pssf, got "),
         ("docs/validation/tables.toml", "pssf.measure", "pssf.gone", [], "must name modules of "),
     ],
 )
-def test_a_run_that_cannot_be_stored_ends_in_one_line(file, before, after, words, message, checkout, capsys):
+def test_a_run_that_cannot_be_stored_gives_a_one_line_error(file, before, after, words, message, checkout, capsys):
     replace_text(checkout / file, before, after)
     assert run(TableStore(checkout), "update", checkout / "run", *words) == 2
     last = capsys.readouterr().err.strip().splitlines()[-1]
@@ -208,11 +208,11 @@ def test_a_run_that_cannot_be_stored_ends_in_one_line(file, before, after, words
         ),
     ],
 )
-def test_a_table_takes_only_runs_of_its_command(wanted, command, same):
+def test_a_table_accepts_only_runs_of_its_command(wanted, command, same):
     assert is_command_of(wanted, command) == same
 
 
-def test_rows_are_merged_with_their_extremes_and_sums():
+def test_merged_rows_show_extremes_and_sums():
     rows = [
         {"knee": k, "rays_so_far": 1000 * (k + 1), "repaired": 2, "unrepaired": 0, "differs_mm": 1e-10 * k}
         for k in range(3)
@@ -220,7 +220,7 @@ def test_rows_are_merged_with_their_extremes_and_sums():
     assert LAYOUTS["agreement"].format_cells(rows) == [["3", "3,000", "6", "0", "2e-10"]]
 
 
-def test_rows_share_a_line_where_values_head_the_columns():
+def test_rows_are_merged_if_column_headings_are_values():
     rows = [
         {"quantity": "tibial_ml_mm", "sex": sex, "value": value, "sd": 4.1, "reference": 77.5, "reference_sd": 4.0,
          "off_sd": 0.05, "source": "a"}
@@ -231,7 +231,7 @@ def test_rows_share_a_line_where_values_head_the_columns():
     ]
 
 
-def test_what_validate_writes_fits_the_layouts(checkout):
+def test_a_table_written_by_validate_matches_its_layout(checkout):
     folder = checkout / "physics"
     run_validation(folder, tables=["physics"])
     real = (REAL.pages / "tables.toml").read_text(encoding="utf-8")
@@ -246,7 +246,7 @@ def test_what_validate_writes_fits_the_layouts(checkout):
 
 
 @pytest.mark.parametrize(("load", "note"), [(0.2, ""), (7.0, "beside other work")])
-def test_validate_records_command_machine_and_other_work(load, note, tmp_path, monkeypatch):
+def test_validate_records_command_machine_and_concurrent_load(load, note, tmp_path, monkeypatch):
     monkeypatch.setattr("os.getloadavg", lambda: (load, 0.0, 0.0), raising=False)
     monkeypatch.setattr(run_record, "count_cores", lambda: 2)
     monkeypatch.setattr("sys.argv", ["/bin/pssf", "validate", "--tables", "physics", "--out", "a b"])
@@ -260,7 +260,7 @@ def test_validate_records_command_machine_and_other_work(load, note, tmp_path, m
 
 
 def collect_texts(modules):
-    """Texts and keywords of the code, and the f-strings as patterns."""
+    """Collect string constants and keywords of modules, and patterns of their f-strings."""
     texts, patterns = set(), set()
     paths = [ROOT / f"{module.replace('.', '/')}.py" for module in modules]
     paths = [path if path.exists() else path.with_suffix("") / "__init__.py" for path in paths]
@@ -278,7 +278,7 @@ def collect_texts(modules):
     return texts, [re.compile(text) for text in patterns if text.strip(".+")]
 
 
-def test_every_column_of_a_layout_is_written_by_its_modules():
+def test_every_column_of_a_layout_is_written_by_a_listed_module():
     modules = {
         name for layout in LAYOUTS.values() for name in code_digest.list_reached_modules(ROOT, layout.measured_by)
     }
@@ -318,6 +318,6 @@ def test_every_table_is_stored_with_command_date_and_machine(layout):
     assert all(len(row) == len(heads) for row in rows)
 
 
-def test_nothing_else_is_stored():
+def test_only_tables_with_a_layout_are_stored():
     stored = {path.stem for path in (REAL.pages / "tables").iterdir()}
     assert stored == LAYOUTS.keys()

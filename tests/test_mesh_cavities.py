@@ -1,4 +1,4 @@
-"""Cavities are distinguished from inverted bodies for any order of the faces."""
+"""Check that cavities are distinguished from inverted bodies for any order of faces."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def make_inverted(*meshes):
     return mesh
 
 
-# Name -> bodies of one mesh, its volume in mm3, and the expected warnings.
+# Scene name -> (bodies of the mesh, volume of the mesh in mm3, expected warnings).
 SCENES = {
     "a hole flush with a side": ([make_box(40), make_inverted(make_box(10, 15, 0, 0))], 63000, []),
     "a hole flush with a corner": ([make_box(40), make_inverted(make_box(10, 15, 15, 15))], 63000, []),
@@ -82,7 +82,7 @@ OCTAHEDRON = trimesh.convex.convex_hull(0.3 * np.vstack((np.eye(3), -np.eye(3)))
 
 
 def make_porous_block(number, at_mm):
-    """Make a block of 64 mm and inverted octahedra on a grid of 60 mm around a point."""
+    """Make a 64 mm cube with octahedral cavities on a grid of 60 mm side length around a point."""
     side = int(np.ceil(number ** (1 / 3)))
     grid = (np.stack(np.unravel_index(np.arange(number), 3 * [side]), 1) - (side - 1) / 2) * (60 / side) + at_mm
     block = trimesh.creation.box(3 * [64])

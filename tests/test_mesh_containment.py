@@ -1,4 +1,4 @@
-"""Containment and disjointness of closed meshes."""
+"""Check containment and disjointness of closed meshes."""
 
 import numpy as np
 import pytest
@@ -25,15 +25,16 @@ def test_containment_agrees_with_a_boolean_difference(direction):
         assert is_mesh_within(extract_mesh(moved), extract_mesh(BALL)) == ((moved - BALL).volume() == 0)
 
 
-def test_a_thin_spike_through_a_face_is_detected():
+def test_a_thin_spike_that_protrudes_through_a_face_is_detected():
     needle = Manifold.cylinder(10.0, 1e-4, 1e-4, 3).translate((0.31, 0.17, 0.0))
     body = Manifold.sphere(3.0, 24)
-    assert (body + needle - BALL).volume() > 0  # its end is just outside
+    # The tip of the spike is just outside the ball.
+    assert (body + needle - BALL).volume() > 0
     assert not is_mesh_within(extract_mesh(body + needle), extract_mesh(BALL))
     assert is_mesh_within(extract_mesh(body + needle.translate((0.0, 0.0, -0.2))), extract_mesh(BALL))
 
 
-def test_bodies_outside_or_in_a_cavity_are_not_within():
+def test_bodies_outside_a_mesh_or_in_its_cavity_are_not_within_it():
     box = Manifold.cube((60.0, 60.0, 60.0), True)
     outer = Manifold.compose([BALL, BALL.translate((25.0, 0.0, 0.0))])
     one, other = Manifold.sphere(2.0, 16), Manifold.sphere(2.0, 16).translate((25.0, 0.0, 0.0))
@@ -41,16 +42,16 @@ def test_bodies_outside_or_in_a_cavity_are_not_within():
     between = Manifold.compose([one, Manifold.sphere(1.0, 16).translate((12.5, 0.0, 0.0))])
     assert not is_mesh_within(extract_mesh(between), extract_mesh(outer))
     assert not is_mesh_within(extract_mesh(one), extract_mesh(box - BALL))
-    # The larger sphere surrounds the cavity and crosses the host.
+    # The larger sphere encloses the cavity and intersects the surrounding mesh.
     assert not is_mesh_within(extract_mesh(Manifold.sphere(20.0, 32)), extract_mesh(box - BALL))
 
 
-def test_meshes_with_a_common_wall_are_not_within():
+def test_meshes_with_a_common_wall_are_not_within_each_other():
     cube = extract_mesh(Manifold.cube((10.0, 10.0, 10.0), True))
     assert not is_mesh_within(cube, cube)
     slab = extract_mesh(Manifold.cube((5.0, 5.0, 10.0), True))
     assert not is_mesh_within(slab, cube)
-    # A face of zero area has no effect.
+    # A face of zero area does not affect containment.
     flat = Mesh(cube.vertices * 0.9, np.vstack((cube.faces, [[0, 0, 1], [0, 1, 0]])))
     assert is_mesh_within(flat, cube)
 

@@ -1,4 +1,4 @@
-"""Mesh files: every facet is read or an error names the fault; exported scenes are read back unchanged."""
+"""Check mesh files: every facet is read or an error names the fault, and exported scenes are read unchanged."""
 
 import warnings
 
@@ -82,15 +82,19 @@ def test_a_truncated_mesh_file_raises_an_error_with_its_name(tmp_path_factory, f
 @pytest.mark.parametrize(
     ("kind", "cut", "message"),
     [
-        ("stl", lambda content: content[:-50], "the 24 facets that its header specifies, got bytes for 23.0"),
+        ("stl", lambda content: content[:-50], "the 24 facets that its header specifies, got 23.0"),
         ("stl", lambda content: content + b"more", "the 24 facets that its header specifies"),
         ("stl_ascii", lambda content: content[: content.rindex(b"endsolid")], "end with endsolid"),
-        ("stl_ascii", lambda content: content.replace(b"endfacet", b"", 1), "got 24 facet, 23 endfacet, 72 vertices"),
+        (
+            "stl_ascii",
+            lambda content: content.replace(b"endfacet", b"", 1),
+            "got 24 facet and 23 endfacet keywords",
+        ),
         ("stl_ascii", lambda content: content.replace(b"-20", b"-2O", 1), "vertex coordinates must be numbers"),
         ("glb", lambda content: content[:-1], "as its header specifies"),
     ],
 )
-def test_the_error_says_what_is_missing_in_a_mesh_file(tmp_path, kind, cut, message):
+def test_the_error_for_an_incomplete_mesh_file_names_the_missing_part(tmp_path, kind, cut, message):
     content = TWO.export(file_type=kind)
     path = tmp_path / f"cut.{kind.split('_')[0]}"
     path.write_bytes(cut(content if isinstance(content, bytes) else content.encode()))
@@ -112,7 +116,7 @@ def test_an_obj_body_without_faces_gives_a_warning(tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert len(pssf.read_mesh(tmp_path / "whole.obj").faces) == 24
-    with pytest.warns(pssf.MeshNotice, match=r"cut\.obj: vertices 9 to 16 belong to no face"):
+    with pytest.warns(pssf.MeshNotice, match=r"cut\.obj: vertices 9 to 16 are not used by any face"):
         pssf.read_mesh(tmp_path / "cut.obj")
 
 
@@ -157,9 +161,9 @@ def test_a_scene_file_cannot_be_read_as_one_mesh(nested, tmp_path, kind):
         pssf.read_mesh(path)
 
 
-def test_a_glb_without_materials_cannot_be_read_as_a_scene(tmp_path):
+def test_a_glb_file_without_materials_cannot_be_read_as_a_scene(tmp_path):
     (tmp_path / "other.glb").write_bytes(TWO.export(file_type="glb"))
-    with pytest.raises(pssf.InputError, match="must name materials of its 1 meshes, got 0"):
+    with pytest.raises(pssf.InputError, match="must specify the materials of all 1 meshes, got materials of 0"):
         pssf.read_scene(tmp_path / "other.glb")
     assert pssf.read_mesh(tmp_path / "other.glb").volume == pytest.approx(128000e9)
 

@@ -1,4 +1,4 @@
-"""Mesh repair: faults that are repaired with a warning, and faults that raise an error."""
+"""Check mesh repair: some faults are repaired with a warning, others raise an error."""
 
 import warnings
 
@@ -40,7 +40,8 @@ def test_a_closed_mesh_is_not_changed():
 
 def test_unmerged_triangles_are_merged_at_equal_vertices():
     soup = POINTS[FACES].reshape(-1, 3)
-    soup[soup == 0] *= -1  # -0.0 is the same coordinate
+    # Vertices with coordinates 0.0 and -0.0 are equal.
+    soup[soup == 0] *= -1
     require_repaired(soup, np.arange(36).reshape(-1, 3), "thing: duplicate vertices: 28, first 4, 5, 6, ...; merged")
 
 
@@ -62,7 +63,7 @@ def test_an_inverted_mesh_is_flipped():
 
 
 @pytest.mark.parametrize("turn", [1, -1])
-def test_a_cavity_is_kept_in_a_correct_and_in_an_inverted_mesh(turn):
+def test_cavities_are_preserved_in_correct_and_inverted_meshes(turn):
     points = np.vstack((POINTS, 0.5 * POINTS))
     faces = np.vstack((FACES, FACES[:, ::-1] + 8))[:, ::turn]
     lines = [] if turn == 1 else ["thing: mesh is inside out; faces: 24; flipped outward"]
@@ -116,7 +117,7 @@ BODIES = {
     more=st.integers(0, 10),
     seed=st.integers(0, 9),
 )
-def test_a_repeated_mesh_is_counted_once_for_every_kind_of_duplication(body, duplication, times, more, seed):
+def test_every_kind_of_duplicated_mesh_is_counted_once(body, duplication, times, more, seed):
     points, faces = np.array(BODIES[body].vertices), np.array(BODIES[body].faces)
     again, repeated = DUPLICATIONS[duplication](points, faces, times)
     repeated = np.vstack((repeated, repeated[:more]))
@@ -128,8 +129,8 @@ def test_a_repeated_mesh_is_counted_once_for_every_kind_of_duplication(body, dup
     require_usable_solid(solid)
 
 
-def test_two_bodies_with_a_common_wall_of_equal_winding_both_keep_it():
-    # One body is inside the other and flush with it: both walls have the same faces, and each body needs its own.
+def test_two_flush_bodies_of_equal_winding_each_keep_their_common_wall():
+    # The inner body is flush with the outer one: the common wall has identical faces, and each body needs a copy.
     outer, inner = (trimesh.creation.box(bounds=[[0, 0, 0], [9, 9, depth]]) for depth in (9, 4))
     require_repaired(*concatenate_meshes(outer, inner), volume_mm3=9 * 9 * 13)
 
@@ -158,7 +159,7 @@ def test_unused_vertices_are_dropped_before_vertices_are_merged():
     assert set(solid.source_vertices) <= set(range(50_000, 50_036))
 
 
-def test_nan_rows_count_as_one_distinct_row():
+def test_identical_rows_of_nan_count_as_one_distinct_row():
     first, number = find_distinct_rows(np.full((20_000, 3), np.nan))
     assert (len(first), number.max()) == (1, 0)
 
@@ -180,7 +181,7 @@ def test_an_empty_mesh_is_rejected():
     require_rejected(np.zeros((0, 3)), np.zeros((0, 3), int), "thing: mesh has 0 faces")
 
 
-def test_a_hole_is_rejected_with_the_number_of_edges_and_the_first_ones():
+def test_the_error_for_a_hole_states_the_number_of_open_edges():
     require_rejected(
         POINTS, FACES[1:], r"thing: edges of a hole .*: 3, first \d-\d, \d-\d, \d-\d; the mesh must be closed"
     )
@@ -190,7 +191,7 @@ def test_an_open_sheet_is_rejected():
     require_rejected([[0, 0, 0], [9, 0, 0], [0, 9, 0]], [[0, 1, 2]], "open sheet, with one face only: 3")
 
 
-def test_mixed_winding_is_rejected_with_the_number_of_edges():
+def test_the_error_for_mixed_winding_states_the_number_of_edges():
     faces = FACES.copy()
     faces[0] = faces[0, ::-1]
     require_rejected(POINTS, faces, "edges between two faces of opposite winding: 3, first")
@@ -200,7 +201,7 @@ def test_a_fin_on_a_closed_mesh_is_rejected():
     require_rejected(np.vstack((POINTS, [[50, 0, 0]])), np.vstack((FACES, [[0, 1, 8]])), "do not close: 1, first 0-1")
 
 
-def test_faulty_edges_are_named_by_the_vertices_of_the_given_mesh():
+def test_edges_in_errors_have_the_vertex_numbers_of_the_input_mesh():
     soup = POINTS[FACES[1:]].reshape(-1, 3)
     solid = repair_mesh(soup, np.arange(33).reshape(-1, 3), "thing")
     named = {tuple(p) for pair in solid.fatal_faults[0].first_items for p in soup[list(map(int, pair.split("-")))]}
@@ -212,7 +213,7 @@ def test_a_two_sided_sheet_without_volume_is_rejected():
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_vertices_that_are_not_finite_are_rejected_with_the_first_ones(value):
+def test_the_error_for_vertices_that_are_not_finite_names_the_first_ones(value):
     points = POINTS.copy()
     points[[3, 5], 1] = value
     require_rejected(points, FACES, "thing: vertices that are not finite: 2, first 3, 5; coordinates must be finite")

@@ -11,7 +11,7 @@ from pssf.study.statistics.scores import metrics
 
 
 def test_metrics_of_four_knees_equal_hand_calculated_values():
-    # Positives are at 0.9 and 0.3, negatives at 0.2 and 0.6: 3 of 4 pairs are in order, and 1 per class is correct.
+    # Positives score 0.9 and 0.3, negatives 0.2 and 0.6: 3 of 4 pairs are ordered, and 1 of 2 per class is correct.
     truth, p = np.array([1, 1, 0, 0]), np.array([0.9, 0.3, 0.2, 0.6])
     found = metrics.score_predictions(truth, np.column_stack([1 - p, p]))
     assert found == {"auc": 0.75, "balanced_accuracy": 0.5, "macro_f1": 0.5}
@@ -44,7 +44,7 @@ def test_area_under_the_mean_roc_curve_is_the_mean_auc_of_the_splits(seed, split
     value = np.round(rng.random(len(truth)) + 0.5 * truth, int(np.log10(levels))) + 3.0 * split
     false, true = metrics.mean_roc(truth, value, split)
     aucs = [metrics.auc(truth[split == one] == 1, value[split == one]) for one in range(splits)]
-    # Each step of a curve is interpolated on a grid of 400 points.
+    # The tolerance is the interpolation error of ROC steps on a grid of 400 points.
     assert abs(np.trapezoid(true, false) - np.mean(aucs)) < 1 / 400
     assert np.all(np.diff(true) >= 0)
     assert (false[0], true[0], false[-1], true[-1]) == (0, 0, 1, 1)

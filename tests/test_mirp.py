@@ -1,6 +1,6 @@
-"""Features of MIRP 2.7 (Zwanenburg 2024), an independent implementation, compared with pyradiomics.
+"""Compare features of pyradiomics with those of the independent implementation MIRP 2.7 (Zwanenburg 2024).
 
-The tests are skipped unless both are installed, as with `uv run --group peers`.
+The tests are skipped unless both libraries are installed, as with `uv run --group peers`.
 """
 
 import logging
@@ -31,7 +31,7 @@ def regions() -> list[np.ndarray]:
         radiograph = pssf.simulate(knee, pssf.load_protocol(name), rng=grade, engine="scanline")
         row, col = (round(at) - SIZE // 2 for at in radiograph.truth.medial_joint_line_px)
         found.append(radiograph.pixels[row : row + SIZE, col : col + SIZE])
-    # In one region all bin edges are whole grey values; its brightest pixel is clipped accordingly.
+    # Clipping the brightest pixels of the first region makes all of its bin edges integer grey values.
     low, range_dn = found[0].min(), int(np.ptp(found[0]))
     found[0] = np.minimum(found[0], low + range_dn // BINS * BINS)
     return found
@@ -47,19 +47,19 @@ def test_mirp_features_equal_pyradiomics_features_in_the_same_order(regions, num
     ours, theirs = extract_with_backends(regions[number])
     assert list(theirs) == [name for name in ours if name not in BACKENDS["mirp"].missing_features]
     for name, value in theirs.items():
-        # The mean of a z-score is zero except for rounding, so it needs an absolute tolerance.
+        # The mean of z-scores is zero except for rounding, so it is compared with an absolute tolerance.
         assert_allclose(value, ours[name], rtol=1e-9, atol=1e-9 if name == "firstorder_z_Mean" else 0, err_msg=name)
     assert len(theirs) == 18 + 14 + 9 + 23 + 16 + 16 + 5 + 14
 
 
 def test_the_regions_contain_grey_values_on_bin_edges(regions):
-    # On bin edges two correct programs may differ by rounding of floats; whole numbers are unambiguous.
+    # Integer arithmetic decides without rounding whether a grey value is on a bin edge.
     on_edges = [int(((one.astype(int) - int(one.min())) * BINS % int(np.ptp(one)) == 0).sum()) for one in regions]
     assert sum(on_edges) > 6
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_a_single_feature_family_equals_its_part_of_all_features(name):
+def test_a_single_feature_family_has_the_values_of_the_complete_set(name):
     region = make_texture(40, 3)
     whole, part = (
         extract_features(region, 0.15, load_ibsi_tags(), backend="mirp", **options)

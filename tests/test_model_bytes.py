@@ -1,4 +1,4 @@
-"""Saving and loading of models."""
+"""Check saving and loading of models."""
 
 import numpy as np
 import pytest

@@ -25,7 +25,7 @@ from pssf.xray.resolved_technique import resolve_technique
 from pssf.xray.spectrum import compute_beam
 
 CSI = load_detectors()["csi"]
-# One sample in 15 000 is outside this number of standard errors.
+# Tolerance in standard errors; one in 15 000 normal samples is outside.
 SIGMAS = 4.0
 
 
@@ -68,7 +68,7 @@ def test_voxels_do_not_depend_on_the_order_of_the_surfaces(scene):
     assert (np.array(one.names)[one.index] == np.array(other.names)[other.index]).all()
 
 
-def test_voxels_have_the_location_of_the_scene():
+def test_voxels_have_the_same_location_as_the_scene():
     inner = make_box(10, 20, 30, at_mm=(25, -30, 40))
     scene = pssf.Scene([
         pssf.Surface(make_box(100, 120, 140), "muscle", "air", "outer"),
@@ -174,7 +174,7 @@ def test_scatter_to_primary_ratio_is_similar_in_both_detectors():
         primary = downsample_by_blocks(transmit(paths, compute_beam(technique), technique).kev, counts.pixels_per_cell)
         scatter = counts.scatter_kev.mean(axis=0) / counts.pixels
         ratios.append(scatter[15:22, 15:22].sum() / primary[15:22, 15:22].sum())
-    # The thinner screen absorbs less primary and less scatter; with the absorption of the thicker one the ratio is 1.7.
+    # Detectors absorb scatter and primary alike; with the absorption of the thicker screen, the ratio would be 1.7.
     assert 0.8 < ratios[1] / ratios[0] < 1.1
 
 
@@ -243,14 +243,14 @@ def test_scatter_is_proportional_to_the_tube_current():
     assert 0.005 < error < 0.3
 
 
-def test_scatter_is_detected_on_the_side_of_the_scatterer():
+def test_scatter_is_detected_on_the_same_side_as_the_scatterer():
     scene = pssf.Scene([pssf.Surface(make_box(40, 40, 40, at_mm=(60, 0, 70)), "water", "air", "cube")])
     image, _ = compute_monte_carlo_scatter_kev(scene, resolve_technique(make_protocol()), photons=100_000)
     # In the image +x is to the right and +z is up.
     assert image[:150, 150:].sum() > 1.5 * max(image[:150, :150].sum(), image[150:, 150:].sum())
 
 
-def test_the_reported_error_equals_the_spread_of_repeats():
+def test_the_reported_monte_carlo_error_equals_the_spread_of_repeats():
     def run(seed):
         return compute_monte_carlo_scatter_kev(
             build_limb(120.0), resolve_technique(make_protocol(cols=180)), photons=32_000, seed=seed
@@ -258,11 +258,11 @@ def test_the_reported_error_equals_the_spread_of_repeats():
 
     maps, errors = zip(*(run(seed) for seed in range(12)), strict=True)
     spread = np.sqrt(np.var(maps, axis=0, ddof=1).mean()) / np.mean(maps)
-    # The map is interpolated between the cells, which averages the noise.
+    # Interpolation between cells smooths the scatter map, so its spread may be below the reported error.
     assert 0.6 < spread / np.mean(errors) < 1.15
 
 
-# Reference scatter.slab_water: scatter-to-primary ratio in the central 60 mm of a 300 mm field; Monte Carlo, 1 %.
+# Reference `scatter.slab_water`: scatter-to-primary ratio in the central 60 mm of a 300 mm field (Monte Carlo, 1 %).
 @pytest.mark.parametrize(
     ("kv", "thick_mm", "gap_mm", "reference"), [(60, 100, 140, 0.926), (70, 120, 15, 1.936), (80, 140, 15, 2.483)]
 )
@@ -281,8 +281,8 @@ def test_scatter_behind_water_agrees_with_the_reference_within_3_percent(kv, thi
     assert abs(scatter / primary / reference - 1) < 0.03 + 3 * error / scatter
 
 
-# Reference scatter.limb: scatter behind the centre of the bone over the open beam; Monte Carlo, 2 %. The reference does
-# not state its field; a field of the limb's width and a mean over most of its length agree with it.
+# Reference `scatter.limb`: scatter behind the bone centre relative to the open beam (Monte Carlo, 2 %). The reference
+# states no field size; a field of the width of the limb and a mean over most of the limb agree with the reference.
 @pytest.mark.parametrize(
     ("kv", "thick_mm", "gap_mm", "reference"), [(60, 120, 140, 0.0214), (70, 104, 15, 0.0586), (80, 140, 15, 0.0484)]
 )
@@ -301,6 +301,6 @@ def test_the_monte_carlo_comparison_has_one_row_per_case(monkeypatch):
     rows = compare_monte_carlo_with_reference(2, photons=400_000)
     assert [row["object"] for row in rows] == ["slab", "limb"]
     for row in rows:
-        # The reference's own error is 1 to 2 %.
+        # The reference values have errors of 1 to 2 %.
         assert abs(row["difference_percent"]) < 4 + 3 * row["error_percent"]
     assert abs(rows[1]["primary_percent"]) < 6

@@ -1,4 +1,4 @@
-"""Negative path lengths: small ones from rounding and folds are accepted, large ones raise an error with the cause."""
+"""Check negative path lengths: small ones are accepted, large ones raise an error that names the cause."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ VIEW = make_protocol(rows=96, cols=96, pixel_mm=0.3)
 def make_folded_plate(depth_mm, side=1):
     """Make a plate of 20 x 20 mm with a given depth along the rays; its outline crosses itself at x = 10.5 mm.
 
-    side  -1 for its mirror image
+    side  1, or -1 for the mirror image
     """
     outline = [(-10, -10), (10, -10), (10, -1), (11, 1), (11, -1), (10, 1), (10, 10), (-10, 10)]
     mesh = make_prism(np.array(outline, float), depth_mm)
@@ -51,7 +51,7 @@ def test_a_large_fold_raises_an_error_with_its_surface_and_pixel(engine):
         trace(build_plate_scene(4.0), VIEW, engine=engine)
     text = str(error.value)
     assert text.startswith("cortical_bone: path length must be -0.05 mm or more, got -4 mm at pixel (4")
-    assert text.endswith(": plate: its mesh overlaps itself or is inside out there")
+    assert text.endswith(": plate: mesh overlaps itself or is inside out along this ray")
 
 
 def test_the_shortest_path_is_found_at_its_pixel():
@@ -68,21 +68,21 @@ def test_a_wrong_outside_material_is_named_as_the_cause():
         [Surface(make_ball(30.0), "water", "air", "ball"), Surface(make_ball(10.0), "muscle", "marrow", "inner")]
     )
     why = explain_negative_path(scene, resolve_view(VIEW), "marrow", 48, 48)
-    assert why.startswith("inner: outside is marrow, but water (ball) is there, over up to 20 mm of a ray")
+    assert why.startswith("inner: outside is marrow, but rays find water (ball), over up to 20 mm of a ray")
     with pytest.raises(
         InputError,
-        match=r"^marrow: path length must be .*, got -19.97 mm at pixel .*: inner: outside is marrow, but water",
+        match=r"^marrow: path length must be .*, got -19.97 mm at pixel .*: inner: outside is marrow, but rays find",
     ):
         trace(scene, VIEW)
 
 
-def test_a_requested_path_in_the_ambient_material_is_checked_too():
+def test_requested_paths_in_the_ambient_material_are_also_checked():
     scene = Scene(
         [Surface(make_ball(30.0), "water", "air", "ball"), Surface(make_ball(10.0), "muscle", "air", "inner")]
     )
     assert trace(scene, VIEW).path_mm["water"].max() > 50
     with pytest.raises(
-        InputError, match=r"^air: path length .*, got .*: inner: outside is air, but water \(ball\) is there"
+        InputError, match=r"^air: path length .*, got .*: inner: outside is air, but rays find water \(ball\)"
     ):
         trace(scene, VIEW, materials=["air"])
 
@@ -101,7 +101,8 @@ def test_modified_path_lengths_are_checked_again():
     require_nonnegative_paths(paths.path_mm, paths.scene, paths.view)
     paths.path_mm["cortical_bone"][3, 4] = -1.0
     with pytest.raises(
-        InputError, match=r"^cortical_bone: path length must be .*, got -1 mm at pixel \(3, 4\): a surface names it"
+        InputError,
+        match=r"^cortical_bone: path length must be .*, got -1 mm at pixel \(3, 4\): a surface has the wrong",
     ):
         require_nonnegative_paths(paths.path_mm, paths.scene, paths.view)
     paths.path_mm["cortical_bone"][3, 4] = np.nan

@@ -51,16 +51,16 @@ def measure_heights_mm(knee):
     return np.array([(base - rows[name]) * protocol.pixel_mm for name in HEIGHTS])
 
 
-def test_growth_raises_the_eminence_and_keeps_the_joint_spaces():
+def test_growth_raises_the_eminence_but_does_not_change_jsw():
     knees = [Knee(notch_growth_mm=mm, jsw_medial_mm=3.0) for mm in (0.0, 2.0)]
     before, after = map(measure_heights_mm, knees)
     raised = after - before
-    # The spines are beside the zone's centre, which rises most.
+    # The spines rise less than the centre of the growth zone, which is between the spines.
     most = 2 * ZONES.tibia[0].direction[2]
     assert (raised[:2] > 0.36 * most).all()
     assert (raised[:2] < 1.15 * most).all()
     assert -3.5 < raised[2] < -1.2
-    # Joint spaces are unchanged in their defining protocol.
+    # The JSW under the protocol that defines JSW is unchanged.
     healthy, grown = (build(knee).measure_jsw_mm(load_protocol("reference")) for knee in knees)
     assert grown == pytest.approx(healthy, abs=1e-3)
 
@@ -84,7 +84,7 @@ def test_growth_rises_with_grade_but_does_not_separate_adjacent_grades():
         np.array([sample_growth_mm(grade, seed, grade_table="population") for seed in range(200)]) for grade in range(5)
     ]
     assert np.all(np.diff([grown.mean() for grown in by_grade]) > 0)
-    # The margin is three standard errors of an AUC of 200 knees per grade.
+    # The margin is three standard errors of an AUC from 200 knees per grade.
     error = 3 * np.sqrt(1 / (6 * 200))
     for less, more in itertools.pairwise(by_grade):
         assert mannwhitneyu(more, less).statistic / 200**2 < 0.7 + error

@@ -26,7 +26,7 @@ def test_an_osteophyte_is_graded_at_its_own_margin(size_mm, grade):
     assert set(readings.values()) == {0}
 
 
-def test_narrowing_is_graded_by_loss_from_healthy_jsw_of_its_definition():
+def test_narrowing_is_graded_by_jsw_loss_within_the_jsw_definition():
     for definition in load_oarsi_thresholds().healthy_mm:
         for sex in ("male", "female"):
             healthy = load_oarsi_thresholds().healthy_jsw_mm("medial", sex=sex, jsw_definition=definition)
@@ -37,7 +37,7 @@ def test_narrowing_is_graded_by_loss_from_healthy_jsw_of_its_definition():
             assert [compute_readings(knee, {})["XRJSM"] for knee in knees] == [0, 1, 2, 3]
 
 
-def test_sampled_knees_have_the_narrowing_of_their_kl_grade():
+def test_joint_space_narrowing_of_sampled_knees_agrees_with_kl_grade():
     most = {}
     for grade in range(5):
         knees = [
@@ -45,7 +45,7 @@ def test_sampled_knees_have_the_narrowing_of_their_kl_grade():
             for seed in range(300)
         ]
         most[grade] = np.array([max(compute_readings(knee, {})[name] for name in ("XRJSM", "XRJSL")) for knee in knees])
-    # KL 0 and 1 have no definite narrowing, KL 3 has (Kellgren and Lawrence 1957); 300 knees give a fraction to 0.04.
+    # KL 3 has definite narrowing, KL 0 and 1 do not (Kellgren and Lawrence 1957); sampling error of 300 knees: 0.04.
     assert (most[0] > 0).mean() < 0.10 + 0.04
     assert (most[1] > 0).mean() < 0.10
     assert (most[3] > 0).mean() > 0.96 - 0.04
@@ -58,7 +58,7 @@ def test_sclerosis_is_graded_higher_medially_by_default():
     assert readings["XRSCTM"] > readings["XRSCTL"]
 
 
-def test_sclerosis_is_graded_higher_laterally_if_that_side_narrows():
+def test_sclerosis_is_graded_higher_laterally_if_that_side_is_narrower():
     readings = compute_readings(pssf.Knee(subchondral_plate=2.2, jsw_medial_mm=5.0, jsw_lateral_mm=1.0), {})
     assert readings["XRSCTL"] == 3
     assert readings["XRSCTM"] < 3

@@ -43,7 +43,8 @@ def test_results_are_in_order_for_any_number_of_workers():
 
 
 def return_pid_and_shared(item, **shared):
-    time.sleep(0.2)  # long enough that one process cannot do both items
+    # The delay ensures that the two items are processed by different workers.
+    time.sleep(0.2)
     return os.getpid(), shared
 
 
@@ -96,7 +97,7 @@ def die_always(item, killer, seconds):
 
 
 @pytest.mark.parametrize(("killer", "seconds"), [(0, 0.5), (1, 0.5), (4, 0.0)])
-def test_an_item_that_kills_every_worker_fails_after_all_other_items(killer, seconds):
+def test_an_item_that_kills_every_worker_fails_after_the_other_items(killer, seconds):
     arrived = []
     shared = {"killer": killer, "seconds": seconds}
     with pytest.raises(WorkersLostError, match="worker processes were killed 3 times in a row"):
@@ -107,7 +108,7 @@ def test_an_item_that_kills_every_worker_fails_after_all_other_items(killer, sec
 
 
 def count_busy_threads(seconds):
-    """Count the threads of this process that do more than a tenth of its linear algebra and FFT."""
+    """Count the threads that perform more than a tenth of linear algebra and FFT computations of the process."""
     rng = np.random.default_rng(0)
     square = rng.random((600, 600))
     before, until = read_clock_ticks(), time.monotonic() + seconds
@@ -119,7 +120,7 @@ def count_busy_threads(seconds):
 
 
 def read_clock_ticks():
-    """Read the clock ticks of computation of each thread of this process."""
+    """Read the CPU time of each thread of the process, in clock ticks."""
     stats = {
         path.parent.name: path.read_text().rpartition(")")[2].split() for path in Path("/proc/self/task").glob("*/stat")
     }
@@ -152,7 +153,7 @@ def is_alive(pid):
         os.kill(pid, 0)
     except ProcessLookupError:
         return False
-    # A zombie process, for which nobody waited, has ended.
+    # A zombie process has ended, but no parent has collected the exit code.
     return "Z" not in subprocess.run(["ps", "-o", "stat=", "-p", str(pid)], capture_output=True, text=True).stdout
 
 
@@ -175,7 +176,7 @@ print(first_faults, faults())
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="needs GNU's C library")
-def test_a_worker_retains_freed_memory_for_later_arrays():
+def test_a_worker_reuses_freed_memory_for_later_arrays():
     output = subprocess.run([sys.executable, "-c", FAULTS], capture_output=True, text=True, check=True).stdout
     first_faults, kept = map(int, output.split())
     assert first_faults > 100 > 10 * kept
@@ -198,7 +199,7 @@ print(before[0] == os.sched_getaffinity(0), len(os.listdir("/proc/self/task")) -
 @pytest.mark.skipif(
     not Path("/proc/self/task").is_dir() or parallel_map.count_cores() < 2, reason="threads are counted on Linux"
 )
-def test_manifold3d_uses_one_thread_and_the_process_keeps_its_cores():
+def test_manifold3d_uses_one_thread_without_changing_available_cores():
     def run_threads(limited):
         run = subprocess.run(
             [sys.executable, "-c", THREADS.format(limited=limited)], capture_output=True, text=True, check=True

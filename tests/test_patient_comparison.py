@@ -1,4 +1,4 @@
-"""Comparison with patients as a whole: film sources, command, page and a second run."""
+"""Check the complete comparison with patients: film sources, command, page and repeated runs."""
 
 import json
 import shutil
@@ -28,7 +28,7 @@ from table_store import TableStore
 
 
 def write_phantom_film(path, seed, gap_mm, side="right", inverted=False):
-    """Write a film of the phantom: log display, bone bright, 8 bit."""
+    """Write a film of the phantom as an 8-bit image with log display and bright bone."""
     rng = np.random.default_rng(seed)
     row, col = 150 + rng.integers(-8, 8), (180 if side == "right" else 140) + rng.integers(-8, 8)
     density = -np.log(make_phantom(row, col, side=side, noise=1.0, seed=seed, tibia_mm=gap_mm))
@@ -52,7 +52,7 @@ def write_films(folder, count=12):
 
 @pytest.fixture
 def phantoms_for_knees(monkeypatch, tmp_path):
-    """Replace templates and simulated films by phantoms, which are fast."""
+    """Replace templates and simulated films by phantoms, which are computed faster."""
     phantoms = write_films(tmp_path / "phantoms")
     (phantoms / "0" / "air9R.png").unlink()
 
@@ -70,7 +70,7 @@ def phantoms_for_knees(monkeypatch, tmp_path):
     monkeypatch.setattr(comparison_run, "load_cohort_landmarks", load_landmarks)
 
 
-def test_a_folder_is_one_source_or_contains_one_source_per_subfolder(tmp_path):
+def test_a_film_folder_is_one_source_or_has_one_source_per_subfolder(tmp_path):
     write_films(tmp_path / "all" / "first", 4)
     write_films(tmp_path / "all" / "second", 4)
     (tmp_path / "all" / "notes").mkdir()
@@ -81,7 +81,7 @@ def test_a_folder_is_one_source_or_contains_one_source_per_subfolder(tmp_path):
 
 
 def test_a_folder_without_films_and_a_reserved_name_raise_an_error(tmp_path):
-    with pytest.raises(pssf.InputError, match="must be a folder of radiographs, or of folders of radiographs"):
+    with pytest.raises(pssf.InputError, match="must be a folder with radiographs, or with one subfolder"):
         comparison_run.find_film_sources(tmp_path / "nowhere")
     with pytest.raises(pssf.InputError, match="must contain subfolders named 0 to 4"):
         comparison_run.find_film_sources(tmp_path)
@@ -157,7 +157,7 @@ def test_the_pixel_size_of_a_template_changes_the_key_of_records(tmp_path):
     assert len(keys) == 2
 
 
-def test_an_unreadable_film_is_counted_and_the_rest_is_measured(tmp_path):
+def test_an_unreadable_film_is_counted_and_the_others_are_measured(tmp_path):
     given = write_films(tmp_path / "clinic", 2)
     (given / "0" / "torn1R.png").write_bytes(b"\x89PNG torn")
     records = measure_one_source(comparison_run.find_film_sources(given))
@@ -181,8 +181,11 @@ def test_an_inverted_film_has_the_measures_of_the_original(tmp_path):
     ("options", "line"),
     [
         (("--knees", "3"), "pssf: knees must be a whole number from 10 to 100000, got 3"),
-        (("--films", "nowhere"), "pssf: films must be a folder of radiographs, or of folders of radiographs, got "),
-        (("--bones", "nowhere"), "pssf: folder nowhere must have one .npz"),
+        (
+            ("--films", "nowhere"),
+            "pssf: films must be a folder with radiographs, or with one subfolder ",
+        ),
+        (("--bones", "nowhere"), "pssf: folder nowhere must contain one .npz"),
         (("--protocol", "referense"), "pssf: "),
     ],
 )

@@ -35,7 +35,7 @@ def make_grey_ramp(bits: int) -> np.ndarray:
 
 
 def write_dicom(path, stored, **more):
-    """Write a minimal DX image, for presentation unless another intent is given."""
+    """Write a minimal DX image with the intent "for presentation" unless another intent is specified."""
     item = pydicom.Dataset()
     item.SOPClassUID, item.SOPInstanceUID = "1.2.840.10008.5.1.4.1.1.1.1", generate_uid()
     item.Rows, item.Columns = stored.shape[-2:]
@@ -62,7 +62,7 @@ def test_a_grey_image_is_scaled_by_its_bit_depth(tmp_path, suffix, bits):
     assert (film.pixel_mm, film.side) == (None, None)
 
 
-def test_grey_jpegs_and_grey_colour_jpegs_are_read(tmp_path):
+def test_grey_images_in_grey_and_colour_jpegs_are_read(tmp_path):
     Image.fromarray(make_grey_ramp(8)).save(tmp_path / "a.jpg", quality=95)
     Image.fromarray(np.repeat(make_grey_ramp(8)[..., None], 3, axis=2)).save(tmp_path / "b.JPEG", quality=95)
     for name in ("a.jpg", "b.JPEG"):
@@ -102,12 +102,12 @@ def test_a_dicom_is_read_with_its_pixel_spacing_and_side(tmp_path):
     assert (film.pixel_mm, film.side) == (0.19, "right")
 
 
-def test_monochrome1_is_inverted(tmp_path):
+def test_monochrome1_images_are_inverted(tmp_path):
     film = read_film(write_dicom(tmp_path / "a.dcm", make_grey_ramp(12), PhotometricInterpretation="MONOCHROME1"))
     assert_allclose(film.pixels, 1 - RAMP, atol=1e-3)
 
 
-def test_a_window_and_a_rescale_are_applied(tmp_path):
+def test_window_and_rescale_values_are_applied(tmp_path):
     window = {"WindowCenter": 2048, "WindowWidth": 1024}
     film = read_film(write_dicom(tmp_path / "a.dcm", make_grey_ramp(12), **window))
     assert_allclose(film.pixels, np.clip((RAMP * 4095 - 1536) / 1024, 0, 1), atol=2e-3)
@@ -115,7 +115,7 @@ def test_a_window_and_a_rescale_are_applied(tmp_path):
     assert_allclose(film.pixels, RAMP, atol=1e-3)
 
 
-def test_all_formats_of_a_simulated_radiograph_are_displayed_alike(tmp_path, knee, small):
+def test_all_file_formats_of_a_radiograph_are_displayed_equally(tmp_path, knee, small):
     radiograph = pssf.simulate(knee, small, engine="scanline")
     films = []
     for name in ("a.tif", "a.dcm", "a.png"):
@@ -146,7 +146,7 @@ def require_rejection(tmp_path):
 
 def test_an_unreadable_file_is_named_in_the_error(tmp_path, require_rejection):
     (tmp_path / "empty.png").touch()
-    require_rejection("empty.png", "must be a radiograph, got 0 bytes")
+    require_rejection("empty.png", "must be a radiograph, got an empty file")
     (tmp_path / "text.png").write_text("not a picture")
     require_rejection("text.png", "damaged")
     (tmp_path / "text.dcm").write_text("not a picture")
@@ -177,7 +177,7 @@ def test_an_unsuitable_image_is_named_in_the_error(tmp_path, require_rejection):
     translucent.save(tmp_path / "translucent.png")
     require_rejection("translucent.png", "opacity")
     Image.fromarray(RAMP.astype(np.float32)).save(tmp_path / "float.tif")
-    require_rejection("float.tif", "kind of pixel must be one of .*, got 'F'")
+    require_rejection("float.tif", "pixel format must be one of .*, got 'F'")
 
 
 def test_an_unsuitable_dicom_is_named_in_the_error(tmp_path, require_rejection):
@@ -191,7 +191,7 @@ def test_an_unsuitable_dicom_is_named_in_the_error(tmp_path, require_rejection):
     require_rejection("kind.dcm", "PhotometricInterpretation must be one of .*, got 'RGB'")
 
 
-# A limb with bone in its middle, beside air with a signal of 4000.
+# Example image: a limb with central bone, surrounded by air with a signal of 4000.
 ACROSS, DOWN = np.meshgrid(np.linspace(-1, 1, SHAPE[1]), np.linspace(-1, 1, SHAPE[0]))
 DEPTH = 2.0 * np.sqrt(np.clip(1 - (ACROSS / 0.8) ** 2, 0, 1)) + 0.8 * (np.abs(ACROSS + 0.2 * DOWN) < 0.3)
 BEAM = 4000 * np.exp(-DEPTH)
@@ -225,7 +225,7 @@ def test_rescale_slope_and_window_do_not_change_linear_pixels(tmp_path):
         assert_allclose(read_film(write_dicom(tmp_path / "b.dcm", BEAM, **LINEAR, **more)).pixels, plain, atol=1e-6)
 
 
-def test_the_rescale_intercept_is_the_signal_of_no_beam(tmp_path):
+def test_the_rescale_intercept_is_the_pixel_value_without_signal(tmp_path):
     plain = read_film(write_dicom(tmp_path / "a.dcm", np.rint(BEAM), **LINEAR)).pixels
     shifted = {"RescaleSlope": 1, "RescaleIntercept": -90}
     assert_allclose(
@@ -271,7 +271,7 @@ def test_logarithmic_pixels_are_inverted_by_their_sign(tmp_path, sign):
         ({"PresentationIntentType": "FOR LATER"}, "PresentationIntentType must be one of .*, got 'FOR LATER'"),
     ],
 )
-def test_insufficiently_described_linear_pixels_are_rejected(tmp_path, require_rejection, more, why):
+def test_linear_pixels_without_a_sufficient_description_are_rejected(tmp_path, require_rejection, more, why):
     write_dicom(
         tmp_path / "a.dcm", BEAM, **{name: value for name, value in {**LINEAR, **more}.items() if value is not None}
     )
@@ -289,7 +289,7 @@ def test_insufficiently_described_linear_pixels_are_rejected(tmp_path, require_r
         ("12l", ("12l", None)),
     ],
 )
-def test_the_file_name_gives_subject_and_side(stem, expected):
+def test_subject_and_side_are_read_from_the_file_name(stem, expected):
     assert parse_subject_and_side(stem) == expected
 
 
@@ -315,7 +315,7 @@ def test_folders_named_by_grade_are_listed_by_grade_and_name(tmp_path):
     assert all(len(film.sha256) == 64 for film in films)
 
 
-def test_missing_table_entries_are_taken_from_the_file_name(tmp_path):
+def test_missing_table_entries_are_derived_from_the_file_name(tmp_path):
     for name in ("a/1R.png", "b.png"):
         write_film(tmp_path / name)
     table = tmp_path / "films.csv"
@@ -331,17 +331,17 @@ def test_missing_table_entries_are_taken_from_the_file_name(tmp_path):
 @pytest.mark.parametrize(
     ("text", "why"),
     [
-        ("name\na.png\n", "must have the column file, got name"),
+        ("name\na.png\n", "must have a column named file, got name"),
         ("file,KL\na.png,2\n", "column must be one of .*, got 'KL'"),
-        ("file\na.png,2\n", "line 2: cells must be at most 1, as in the header, got 2"),
+        ("file\na.png,2\n", "line 2: number of cells must be at most 1, as in the header, got 2"),
         ("file,grade\na.png,5\n", "line 2: grade must be one of .*, got '5'"),
         ("file,side\na.png,R\n", "line 2: side must be one of .*, got 'R'"),
-        ("file,pixel_mm\na.png,wide\n", "line 2: pixel_mm must be a number of mm, or empty, got 'wide'"),
+        ("file,pixel_mm\na.png,wide\n", "line 2: pixel_mm must be a number in mm, or empty, got 'wide'"),
         ("file,pixel_mm\na.png,nan\n", "line 2: pixel_mm must be .*, got nan"),
         ("file\na.png\na.png\n", "line 3: file must be listed once, got 'a.png' again"),
         ("file\nb.png\n", "b.png must be .*No such file"),
         ("file\na.bmp\n", "line 2: suffix"),
-        ("", "must have the column file, got none"),
+        ("", "must have a column named file, got no columns"),
     ],
 )
 def test_an_invalid_table_is_rejected_with_its_line_number(tmp_path, text, why):
@@ -361,7 +361,7 @@ def test_an_invalid_table_is_rejected_with_its_line_number(tmp_path, text, why):
     ],
     ids=["grade", "subject", "without a grade", "side"],
 )
-def test_contradictory_copies_of_a_film_are_both_named_in_the_error(tmp_path, files, message):
+def test_the_error_for_contradictory_copies_of_a_film_names_both_files(tmp_path, files, message):
     write_film(tmp_path / files[0])
     (tmp_path / files[1]).parent.mkdir(exist_ok=True)
     shutil.copy(tmp_path / files[0], tmp_path / files[1])
@@ -377,5 +377,5 @@ def test_a_folder_without_films_or_with_two_tables_is_rejected(tmp_path):
         list_films(tmp_path)
     for name in ("a.csv", "b.csv"):
         (tmp_path / name).write_text("file\n")
-    with pytest.raises(InputError, match=r"got the tables a\.csv, b\.csv"):
+    with pytest.raises(InputError, match=r"got CSV files a\.csv, b\.csv"):
         list_films(tmp_path)

@@ -31,12 +31,12 @@ def listed(film_study) -> pd.DataFrame:
     return pd.read_csv(film_study.tables["films"]).set_index("file")
 
 
-def test_joints_are_found_on_films_of_any_side_polarity_and_get_pitch_mm(listed):
+def test_joints_are_located_on_films_of_any_side_and_polarity(listed):
     whole = listed[listed.index.str.contains("/p0")]
     assert list(whole["status"]) == ["found"] * 7
     assert (whole["film_side"] == ["left" if "L.png" in file else "right" for file in whole.index]).all()
     assert list(whole.loc[["0/p000R.png", "0/p001L.png"], "film_polarity"]) == ["bone bright", "bone dark"]
-    # The pitch is 0.6 mm / 0.8, scaled by the assumed plateau width of 79.1 mm over the true one of 74 mm.
+    # True pitch 0.6 mm / 0.8; the estimate assumes a plateau width of 79.1 mm instead of the true 74 mm.
     assert_allclose(whole["film_pixel_mm"], 0.75 * 79.1 / 74.0, rtol=0.04)
     assert_allclose(whole["lr_l1_0v2_films grade 0"] + whole["lr_l1_0v2_films grade 2"], 1.0)
 
@@ -53,7 +53,7 @@ def test_rejected_films_are_counted_by_reason_without_a_probability(film_study, 
         assert f">{reason}</th>" in page
 
 
-def test_films_are_scored_for_each_available_contrast_of_grades(film_study, listed):
+def test_films_are_scored_for_each_contrast_of_available_grades(film_study, listed):
     scores = pd.read_csv(film_study.tables["films_scores"]).set_index("contrast")
     assert list(scores.index) == ["0 vs 2", "0 vs 3+4"]
     for contrast, grade in (("0 vs 2", 2), ("0 vs 3+4", 3)):
@@ -74,7 +74,7 @@ def test_report_and_checklist_include_the_films(film_study):
     assert {item["status"] for item in external} == {"yes"}
 
 
-def test_a_second_run_reads_no_film_again_and_writes_identical_files(film_study, tmp_path):
+def test_a_second_run_rereads_no_film_and_writes_identical_files(film_study, tmp_path):
     for name in ("features", "displays", "films_features"):
         (tmp_path / f"{name}.csv").write_bytes((film_study.report.parent / f"{name}.csv").read_bytes())
     loaded: list[str] = []
@@ -104,11 +104,11 @@ def _get_pitch_mm(result) -> float:
     return unpack_model(result.models["lr_l1_0v2_films"].read_bytes(), "").card.pixel_mm
 
 
-def test_the_coarser_pixel_size_of_the_films_is_used_for_both(film_study, listed):
+def test_films_and_simulations_use_the_coarser_pixel_size(film_study, listed):
     assert _get_pitch_mm(film_study) == round(listed["film_pixel_mm"].median(), 2)
 
 
-def test_the_region_is_reduced_to_what_the_films_contain():
+def test_the_region_of_interest_is_reduced_to_fit_the_films():
     image = block_knee_cohort.make_cohort().display(block_knee_cohort.select_text_subjects()["file"].iloc[0])
     found = locate_joint_in_display(
         image.pixels, [block_knee_cohort.TEMPLATE], load_localisation_settings(), image.side, 0.6
@@ -169,7 +169,7 @@ def fail_to_read(file: str) -> FilmImage:
     raise AssertionError(file)
 
 
-def test_films_use_the_reference_protocol_unless_another_is_given(tmp_path):
+def test_films_use_the_reference_protocol_unless_another_is_specified(tmp_path):
     block_knee_cohort.write_film(tmp_path / "0" / "p1R.png", 0, "right", 0)
     settings = StudySettings(reference="a")
     assert _make_film_set(PatientFilms(folder=tmp_path), tmp_path, ["a", "b"], settings).protocol == "a"
@@ -202,7 +202,7 @@ def test_the_signal_does_not_depend_on_the_tone_curve_of_the_display(tone):
     )
 
 
-def test_the_signal_of_a_display_is_inverted_with_the_template_histogram():
+def test_a_display_is_converted_to_signal_by_the_template_histogram():
     region = np.random.default_rng(0).random((40, 40))
     signal = match_template_histogram(region, block_knee_cohort.TEMPLATE, 0.6)
     order = np.argsort(region.ravel())
@@ -211,13 +211,13 @@ def test_the_signal_of_a_display_is_inverted_with_the_template_histogram():
     assert_allclose(np.percentile(signal, [5, 50, 95]), np.percentile(own, [5, 50, 95]), rtol=0.02)
 
 
-def test_a_region_is_resampled_around_the_joint_and_stays_in_the_film():
+def test_a_resampled_region_is_centred_on_the_joint_within_the_film():
     pixels = block_knee_cohort.make_cohort().display(block_knee_cohort.select_text_subjects()["file"].iloc[0]).pixels
     found = locate_joint_in_display(pixels, [block_knee_cohort.TEMPLATE], load_localisation_settings(), None, 0.6)
     same = cut_resampled_region(pixels, found, 0.6, 60)
     coarse = cut_resampled_region(pixels, found, 1.2, 30)
     means = same.reshape(30, 2, 30, 2).mean(axis=(1, 3))
-    # The coarse pixel is centred on the joint line; the mean of four pixels is half a fine pixel off.
+    # The coarse region is centred on the joint line, but means of four fine pixels are shifted by half a fine pixel.
     assert np.corrcoef(means.ravel(), coarse.ravel())[0, 1] > 0.97
     assert cut_resampled_region(pixels, found, 0.6, 240) is None
 
@@ -236,7 +236,7 @@ def test_resampling_removes_noise_finer_than_the_new_pitch():
 
 
 @pytest.mark.parametrize("pitch", [0.15, 0.6])
-def test_a_fine_display_is_located_coarsely_in_its_own_pixel_coordinates(pitch):
+def test_the_joint_on_a_fine_display_is_reported_in_its_own_pixels(pitch):
     film = block_knee_cohort.make_cohort().display(block_knee_cohort.select_text_subjects()["file"].iloc[0])
     fine = np.kron(film.pixels, np.ones((round(0.6 / pitch),) * 2))
     found = locate_joint_in_display(fine, [block_knee_cohort.TEMPLATE], load_localisation_settings(), film.side, pitch)
@@ -266,7 +266,7 @@ def make_predictions(rows) -> pd.DataFrame:
     return table.assign(task="0 vs 2", model="lr", selection="l1")
 
 
-def test_film_scores_count_subjects_and_need_enough_for_an_interval():
+def test_film_scores_have_intervals_only_with_enough_subjects():
     rows = [("a", 0, 0.1), ("b", 0, 0.6), ("c", 2, 0.55), ("d", 2, 0.9), ("d", 2, 0.8), ("e", 4, 0.7), ("f", 1, 0.0)]
     scores = score_films(make_predictions(rows), replicates=200, seed=0).set_index("contrast")
     assert scores.loc["0 vs 2", "auc"] == 5 / 6
@@ -299,13 +299,13 @@ def test_predictions_of_five_grades_are_scored_by_weighted_kappa():
     assert score_grades(three, replicates=200, seed=0)["radiographs"].tolist() == [6]
 
 
-def test_films_without_both_classes_of_a_contrast_give_no_score():
+def test_films_of_only_one_class_of_a_contrast_give_no_score():
     assert score_films(make_predictions([("a", 2, 0.5), ("b", 3, 0.1)]), replicates=100, seed=0).empty
     assert score_films(make_predictions([]), replicates=100, seed=0).empty
 
 
 def test_the_bootstrap_resamples_subjects_with_all_their_films():
-    """With forty films per subject the interval is as wide as with one film per subject."""
+    """Check that forty films per subject give an interval of the same width as one film per subject."""
     few = [(f"{grade}{k}", grade, 0.3 + 0.05 * k + 0.1 * (grade == 2)) for grade in (0, 2) for k in range(6)]
     many = [row for row in few for _ in range(40)]
     one, other = (score_films(make_predictions(rows), replicates=500, seed=1).iloc[0] for rows in (few, many))

@@ -1,4 +1,4 @@
-"""Permutation importance of features of a fitted model."""
+"""Check the permutation importance of features in a fitted model."""
 
 import numpy as np
 import pytest

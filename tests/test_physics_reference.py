@@ -1,4 +1,4 @@
-"""Attenuation, spectra, primary and scatter against independent references."""
+"""Compare attenuation, spectra, primary and scatter with independent references."""
 
 import pytest
 
@@ -22,14 +22,14 @@ def test_physical_quantities_agree_with_their_references(physics, quantity, perc
 
 @pytest.mark.parametrize(("gaps", "percent", "count"), [(("60", "100", "140"), 10, 15), (("15",), 25, 9)])
 def test_scatter_behind_the_bone_of_a_limb_agrees_with_monte_carlo(physics, gaps, percent, count):
-    # The kernel is fitted to gaps of 20 mm or more; at 15 mm behind a thick limb it is 20 % too high.
+    # The kernel is fitted to air gaps of at least 20 mm; its scatter is 20 % too high for 15 mm behind a thick limb.
     wanted = tuple(f"gap {gap} mm" for gap in gaps)
     found = [off for name, off in physics.items() if name.startswith("scatter") and any(g in name for g in wanted)]
     assert len(found) == count
     assert max(map(abs, found)) <= percent
 
 
-# kV, limb thickness and gap in mm: cases within the range of the kernel, and one with a smaller gap.
+# Cases (kV, limb thickness in mm, air gap in mm) within the range of the kernel, and some with a smaller gap.
 USUAL = (
     *((60, 104, 15), (60, 120, 140), (70, 104, 140), (70, 120, 15)),
     *((70, 120, 60), (70, 120, 140), (70, 140, 140), (80, 120, 140)),
@@ -37,7 +37,7 @@ USUAL = (
 
 
 @pytest.mark.parametrize(("quantity", "percent"), [("primary", 5.0), ("scatter", 15.0)])
-def test_usual_limbs_agree_with_monte_carlo_more_closely(physics, quantity, percent):
+def test_the_kernel_agrees_more_closely_for_typical_limbs(physics, quantity, percent):
     names = [
         f"{quantity} behind bone, {kv} kV, limb {thick} mm, gap {gap} mm, over open beam" for kv, thick, gap in USUAL
     ]

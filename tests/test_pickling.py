@@ -58,7 +58,7 @@ def test_a_built_knee_can_be_sent_to_worker_processes(left, protocol):
     assert results == [expected, expected]
 
 
-def test_a_pickled_knee_keeps_a_changed_scene(left, protocol):
+def test_a_pickled_knee_preserves_a_modified_scene(left, protocol):
     """Check that a changed scene, for example with an implant, is not lost when the knee is rebuilt."""
     fewer = pssf.Scene(left.scene.surfaces[:3])
     back = pickle.loads(pickle.dumps(dataclasses.replace(left, scene=fewer)))

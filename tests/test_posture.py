@@ -1,4 +1,4 @@
-"""Flexed knees and PA views: anatomy is preserved and labels agree with the projection."""
+"""Check flexed knees and PA views: posture preserves anatomy, and labels agree with the projection."""
 
 import dataclasses
 
@@ -50,8 +50,8 @@ def test_the_measured_radiographic_jsw_equals_the_specified_jsw(side):
     assert_allclose(pssf.build(knee, FIXED_FLEXION).measure_jsw_mm(FIXED_FLEXION), [4.2, 5.1], atol=1e-3)
 
 
-def test_jsw_converges_if_the_plateau_floor_jumps_between_iterations():
-    """A sampled knee whose joint line alternated by 0.07 mm of height and 0.28 mm of joint space."""
+def test_jsw_converges_if_the_plateau_floor_alternates():
+    """Check a sampled knee whose joint line alternated by 0.07 mm in height and 0.28 mm in JSW between iterations."""
     shape = (-1.1221, 1.0708, 0.5, 0.4836, 0.2127, 0.71, 0.313, -0.0709, 0.1872, 1.2917, -1.0504, 0.1207, -1.9536)
     knee = pssf.Knee(
         sex="female", stature_mm=1585.822, bone_scale=1.0457, shape=shape, jsw_definition="read", jsw_medial_mm=4.1388,
@@ -62,8 +62,8 @@ def test_jsw_converges_if_the_plateau_floor_jumps_between_iterations():
     assert_allclose(pssf.build(knee, FIXED_FLEXION).measure_jsw_mm(FIXED_FLEXION), [4.1388, 4.7705], atol=1e-3)
 
 
-def test_a_flexed_knee_keeps_its_condyles_at_the_height_of_extension(flexed):
-    """Gaps come from rays along the tibial axis below each condyle, cast by another library."""
+def test_flexion_preserves_the_gap_below_each_condyle(flexed):
+    """Measure gaps below each condyle with rays along the tibial axis, which the library trimesh casts."""
     straight = pssf.build(READ)
     gaps = [np.array(list(_find_least_gaps(one))) for one in (straight, flexed)]
     assert_allclose(gaps[1], gaps[0], atol=0.15)
@@ -95,7 +95,7 @@ def _find_least_gaps(built):
 
 
 def _find_first_heights(mesh, starts, directions):
-    """Find the height of the first intersection of each ray; nan without one."""
+    """Find the height of the first intersection of each ray; nan for rays without intersection."""
     points, rays, _ = mesh.ray.intersects_location(starts, directions, multiple_hits=True)
     height = np.full(len(starts), np.nan)
     for ray, z in zip(rays, points[:, 2], strict=True):
@@ -105,7 +105,7 @@ def _find_first_heights(mesh, starts, directions):
     return height
 
 
-def test_flexion_and_extension_by_the_same_angle_change_nothing(flexed):
+def test_extension_followed_by_equal_flexion_restores_the_pose(flexed):
     pose = flexed.assembly.pose
     femur, tibia = (extract_mesh(flexed.bones[name].outer) for name in ("femur", "tibia"))
 
@@ -121,7 +121,8 @@ def test_flexion_and_extension_by_the_same_angle_change_nothing(flexed):
 def test_most_femoral_external_rotation_occurs_in_the_first_30_degrees(flexed):
     def compute_external_rotation_deg(flexion_deg):
         across = dataclasses.replace(flexed.assembly.pose, flexion_deg=flexion_deg).femur_to_tibia_transform()[:, 0]
-        return -np.rad2deg(np.arctan2(across[1], across[0]))  # medial moves forwards, lateral backwards
+        # The medial side moves forwards and the lateral side backwards.
+        return -np.rad2deg(np.arctan2(across[1], across[0]))
 
     assert compute_external_rotation_deg(0.0) == pytest.approx(0.0, abs=1e-9)
     assert 4.5 < compute_external_rotation_deg(22.0) < 10.0
@@ -142,12 +143,12 @@ def test_contours_of_a_flexed_knee_agree_with_its_masks(flexed):
     truth = pssf.simulate(flexed, protocol, keep=("masks",)).truth
     row, col = truth.landmarks_px["medial_spine"]
     assert np.flatnonzero(truth.masks["tibia"][:, round(col)])[0] == pytest.approx(row, abs=1.5)
-    # The floor of the plateau is below the contour, which the rims determine.
+    # The plateau rims determine the contour, so the plateau floor is below the contour.
     row, col = truth.landmarks_px["tibia_medial_1"]
     assert np.flatnonzero(truth.masks["tibia"][:, round(col)])[0] < row + 0.5
 
 
-def test_a_flexed_knee_has_no_negative_paths_and_both_engines_agree(flexed):
+def test_both_engines_find_no_negative_paths_in_a_flexed_knee(flexed):
     protocol = dataclasses.replace(FIXED_FLEXION, **SMALL)
     one, other = (
         pssf.trace(flexed.scene, protocol, engine=engine, precision="float64") for engine in ("embree", "scanline")
@@ -159,7 +160,8 @@ def test_a_flexed_knee_has_no_negative_paths_and_both_engines_agree(flexed):
 
 def test_a_knee_built_in_another_posture_raises_an_error(built):
     with pytest.raises(
-        InputError, match=r"knee must be built in Posture\(projection='PA'.*got Posture\(projection='AP'"
+        InputError,
+        match=r"knee must be built in the protocol posture, Posture\(projection='PA'.*got Posture\(projection='AP'",
     ):
         pssf.simulate(built, FIXED_FLEXION)
 

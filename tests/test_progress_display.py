@@ -1,4 +1,4 @@
-"""Progress display of the stages of a run."""
+"""Check the progress display of the stages of a run."""
 
 import re
 
@@ -9,7 +9,7 @@ from pssf.core.processes.execution import Execution
 from pssf.core.stage_timer import Stage
 
 
-def test_rate_and_time_left_count_only_items_of_this_run():
+def test_rate_and_remaining_time_consider_only_items_of_this_run():
     now = iter([0.0, 0.0, 30.0, 40.0])
     stage = Stage("radiographs", 100, lambda: next(now))
     stage.add_already_done(70)
@@ -18,7 +18,7 @@ def test_rate_and_time_left_count_only_items_of_this_run():
     assert stage.rate_text == "20.0 / min, 0:00:50 left"
 
 
-def test_without_a_terminal_every_tenth_is_printed_as_a_line(capsys):
+def test_without_a_terminal_one_line_is_printed_per_tenth_of_the_items(capsys):
     with Execution(progress_bar=progress_display.show_progress_bar).stage("radiographs", "radiographs", 40) as stage:
         stage.add_already_done(10)
         for _ in range(30):

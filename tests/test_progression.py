@@ -1,4 +1,4 @@
-"""Disease progression: no recovery, constant patient attributes and a reported true change."""
+"""Check disease progression: no recovery, constant patient attributes and reported true change."""
 
 import dataclasses
 
@@ -45,17 +45,17 @@ def test_progression_never_reverses_and_keeps_patient_attributes(grade, seed, ye
     assert last["age_years"] == pytest.approx(60.0 + years, abs=1e-4)
 
 
-def test_zero_years_change_nothing_and_a_seed_gives_a_linear_course():
+def test_jsw_loss_is_linear_in_time_and_zero_years_change_nothing():
     for grade in range(5):
         knee = sample_knee(grade, 3)
         assert pssf.progress(knee, 0.0, np.random.default_rng(5)) == knee
         spaces = [pssf.progress(knee, at, np.random.default_rng(5)).jsw_medial_mm for at in (1.0, 2.0, 3.0)]
-        # The loss is linear until the joint space is zero.
+        # JSW decreases linearly until it reaches zero.
         assert spaces[2] == 0.0 or spaces[0] - spaces[1] == pytest.approx(spaces[1] - spaces[2], abs=2e-4)
 
 
 @pytest.mark.parametrize("grade", range(5))
-def test_jsw_loss_per_year_is_that_of_the_grade(grade):
+def test_jsw_loss_per_year_agrees_with_the_rate_of_the_grade(grade):
     law, count = load_progression_rates(), 400
     knee = make_knee(grade)
     later = [pssf.progress(knee, 1.0, np.random.default_rng(seed)) for seed in range(count)]
@@ -76,7 +76,7 @@ def test_the_grade_rises_when_jsw_loss_crosses_a_threshold():
     assert len({later.grade for later in visits}) > 1
 
 
-def test_an_osteophyte_that_becomes_definite_gives_kl_2():
+def test_a_growing_osteophyte_that_becomes_definite_changes_kl_to_2():
     doubtful = Knee(jsw_definition="read", jsw_medial_mm=6.0, jsw_lateral_mm=7.0, grade=1,
                     osteophytes=(pssf.Osteophyte(site="medial_tibia", size_mm=1.0),))  # fmt: skip
     visits = [pssf.progress(doubtful, 4.0, np.random.default_rng(seed)) for seed in range(60)]
@@ -106,7 +106,7 @@ def test_jsw_loss_thresholds_agree_with_the_population_table():
 
 
 @pytest.mark.parametrize("grade", range(5))
-def test_notch_and_effusion_grow_at_the_rate_set_for_the_grade(grade):
+def test_notch_growth_and_effusion_increase_at_the_rate_of_the_grade(grade):
     law, count = load_progression_rates(), 400
     later = [pssf.progress(make_knee(grade), 1.0, np.random.default_rng(seed)) for seed in range(count)]
     for name, (mean, sd) in (("notch_growth_mm", law.notch_mm[grade]), ("effusion_mm", law.swelling_mm[grade])):
@@ -137,6 +137,6 @@ def test_invalid_arguments_of_progress_raise_an_error():
     ("before", "after", "line"),
     [("x", pssf.Knee(), "before must be a Knee, got 'x'"), (pssf.Knee(), None, "after must be a Knee, got ")],
 )
-def test_true_change_requires_two_knees(before, after, line):
+def test_true_change_requires_two_knee_objects(before, after, line):
     with pytest.raises(pssf.InputError, match=line):
         pssf.true_change(before, after)

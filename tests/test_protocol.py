@@ -1,4 +1,4 @@
-"""Protocols: files, inheritance, validation, standard views and resampling."""
+"""Check protocols: files, inheritance, validation, standard views and resampling."""
 
 import dataclasses
 import math
@@ -36,7 +36,7 @@ def test_low_dose_differs_from_reference_only_in_mas():
 
 
 @pytest.mark.parametrize("name", [name for name in list_protocols() if name not in (*STUDY, *VIEWS)])
-def test_every_other_protocol_changes_a_single_factor(name):
+def test_every_other_study_protocol_changes_a_single_factor(name):
     reference, other = (protocol_to_dict(load_protocol(one)) for one in ("reference", name))
     changed = {field for field in reference if other[field] != reference[field]} - {"name"}
     assert len(changed) == 1 or changed == {"sdd_mm", "sod_mm"}
@@ -73,9 +73,9 @@ def test_the_skyline_view_has_the_angles_of_merchant():
 @pytest.mark.parametrize(
     ("name", "more", "why"),
     [
-        ("lateral", dict(beam_along="medial_plateau"), "margins of the plateau are seen edge on"),
-        ("skyline", dict(beam_along="medial_plateau"), "margins of the plateau are seen edge on"),
-        ("lateral", dict(knee_distance_mm=220.0), "one knee would hide the other"),
+        ("lateral", dict(beam_along="medial_plateau"), "are the plateau margins edge-on to the beam"),
+        ("skyline", dict(beam_along="medial_plateau"), "are the plateau margins edge-on to the beam"),
+        ("lateral", dict(knee_distance_mm=220.0), "one knee would cover the other"),
         ("rosenberg", dict(flexion_deg=60.1), "flexion_deg must be between 0 and 60 deg, got 60.1 deg"),
     ],
 )
@@ -84,7 +84,7 @@ def test_an_impossible_posture_raises_an_error_with_the_reason(name, more, why):
         dataclasses.replace(load_protocol(name), **more)
 
 
-def test_every_field_is_documented_once():
+def test_every_protocol_field_is_documented_once():
     rows = list_fields("protocol")
     assert [row["field"] for row in rows] == [field.name for field in dataclasses.fields(load_protocol("reference"))]
     assert all(row["what"] and row["allowed"] for row in rows)

@@ -1,4 +1,4 @@
-"""Within, cross and multi protocol scenarios of one split: no leakage, and signal is detected."""
+"""Check training within, across and on multiple protocols in one split: signal is detected without leakage."""
 
 import numpy as np
 import pandas as pd
@@ -37,7 +37,7 @@ def test_signal_is_found_in_every_scenario_and_is_reproducible():
     )
 
 
-def test_mixed_scenario_uses_each_knee_once_and_balances_protocols():
+def test_the_mixed_scenario_uses_each_knee_once_with_balanced_protocols():
     table = make_features(10)
     protocols = sorted(table["protocol"].unique())
     selected = table[_assign_one_protocol(table, protocols, seed=0, repeat=0)]
@@ -45,7 +45,7 @@ def test_mixed_scenario_uses_each_knee_once_and_balances_protocols():
     counts = selected.groupby(["grade", "protocol"]).size().unstack()
     assert counts.shape == (table["grade"].nunique(), len(protocols))
     assert (counts.max(axis=1) - counts.min(axis=1)).max() <= 1
-    # The assignment is random, differs between splits and does not depend on the order of rows.
+    # The assignment of protocols is random, differs between splits and does not depend on the order of rows.
     assert set(selected["radiograph"]) != set(
         table[_assign_one_protocol(table, protocols, seed=0, repeat=1)]["radiograph"]
     )
@@ -63,25 +63,26 @@ def compute_mean_auc(table: pd.DataFrame, names: list[str], model: str, repeats:
     return float(scores[of_model]["auc"].mean())
 
 
-def test_permuted_labels_give_an_auc_of_a_half():
+def test_permuted_labels_give_an_auc_of_0_5():
     table = make_features(24, noise=0.2)
     grades = np.random.default_rng(3).permutation(np.repeat([0, 1, 2], 24))
     table["grade"] = grades[table["subject"]]
-    # SD of a chance AUC of 24 against 24 knees (Hanley & McNeil 1982): sqrt((n + m + 1) / 12 n m).
-    # Splits have knees in common, so their mean is assumed no more precise than one AUC of all knees; bound: 4 SD.
+    # The bound is 4 SD; an AUC at chance level has SD sqrt((n + m + 1) / 12 n m), n = m = 24 (Hanley & McNeil 1982).
+    # Splits contain the same knees, so their mean AUC is assumed to be only as precise as one AUC of all knees.
     bound = 4 * np.sqrt(49 / (12 * 24 * 24))
     assert abs(compute_mean_auc(table, NAMES, "lr") - 0.5) < bound
 
 
-def test_a_fingerprint_of_the_subject_does_not_leak_across_the_split():
+def test_a_feature_that_identifies_the_subject_does_not_leak_the_grade():
     rng = np.random.default_rng(5)
     table = make_features(24, noise=1e9)
     table["grade"] = rng.permutation(np.repeat([0, 1, 2], 24))[table["subject"]]
     mark = rng.normal(size=(72, 3))
-    for i in range(3):  # the same in all radiographs of a subject: a split by radiograph would leak the grade
+    # All radiographs of a subject have the same marks, so a split by radiograph would reveal the grade.
+    for i in range(3):
         table[f"mark{i}"] = mark[table["subject"], i]
     names = [f"mark{i}" for i in range(3)]
     assert abs(compute_mean_auc(table, names, "rf") - 0.5) < 4 * np.sqrt(49 / (12 * 24 * 24))
-    # With a deliberate leak, where each radiograph is a subject of its own, the mark predicts nearly all grades.
+    # With a deliberate leak (each radiograph is a separate subject), the marks predict nearly all grades.
     leaking = table.assign(subject=np.arange(len(table)))
     assert compute_mean_auc(leaking, names, "rf", repeats=2) > 0.9

@@ -1,4 +1,4 @@
-"""Radiograph: text, notebook image and exposure index; errors of `load` for foreign images."""
+"""Check radiographs: text, notebook image, exposure index, and errors of `load` for images of other programs."""
 
 import dataclasses
 import importlib.metadata
@@ -67,18 +67,18 @@ def test_show_opens_the_image_processed_for_display(radiograph, monkeypatch):
 
 @pytest.mark.parametrize("detector", ["csi", "gos"])
 @pytest.mark.parametrize("mas", [1.0, 4.0])
-def test_exposure_index_of_an_rqa5_field_is_100_times_its_air_kerma(detector, mas):
+def test_exposure_index_of_an_rqa5_field_is_100_times_air_kerma_in_ugy(detector, mas):
     changes = {"tube_kv": 70.0, "filtration_mm_al": 23.5, "anode_angle_deg": 12.0, "mas": mas, "detector": detector}
     flat = simulate_open_field(**changes)
     technique = resolve_technique(flat.protocol)
     energies, photons = tube_spectrum(70.0, 12.0, 23.5)
     kerma_ugy = air_kerma_ugy(technique.material("air"), energies, photons) * mas * (1000 / flat.protocol.sdd_mm) ** 2
-    # The inverse square law reduces kerma towards the corners by up to 2 %.
+    # The tolerance includes the inverse square law, which reduces air kerma towards the corners by up to 2 %.
     assert flat.exposure_index == pytest.approx(100 * kerma_ugy, rel=0.02)
 
 
 @pytest.mark.parametrize("name", ["reference", "fixed_flexion", "low_dose", "gos_screen"])
-def test_exposure_index_is_that_of_the_signal_behind_the_limb(name):
+def test_the_exposure_index_describes_the_signal_behind_the_limb(name):
     radiograph = pssf.simulate(
         pssf.Knee(), make_protocol(name), engine="scanline", keep=("primary", "scatter", "path_mm")
     )
@@ -89,7 +89,7 @@ def test_exposure_index_is_that_of_the_signal_behind_the_limb(name):
     assert radiograph.exposure_index == pytest.approx(wanted, rel=0.1)
 
 
-def test_exposure_is_proportional_to_mas_and_kept_in_saved_files(radiograph, tmp_path):
+def test_exposure_is_proportional_to_mas_and_preserved_in_files(radiograph, tmp_path):
     double = pssf.simulate(radiograph.knee, make_protocol(mas=1.0), seed=7, engine="scanline")
     assert radiograph.exposure_index == pytest.approx(2 * double.exposure_index, rel=0.01)
     assert radiograph.entrance_air_kerma_ugy == pytest.approx(2 * double.entrance_air_kerma_ugy)
@@ -98,13 +98,13 @@ def test_exposure_is_proportional_to_mas_and_kept_in_saved_files(radiograph, tmp
     assert loaded.exposure_index == radiograph.exposure_index
 
 
-def test_exposure_index_of_a_collimated_field_is_that_inside_the_field():
+def test_the_exposure_index_considers_only_the_collimated_field():
     knee = pssf.Knee()
     whole, part = (
         pssf.simulate(knee, make_protocol(noise="none", scatter="none", **field), engine="scanline")
         for field in ({}, {"field_width_mm": 160.0, "field_height_mm": 120.0})
     )
-    # Without scatter the signal inside the field does not depend on the collimator.
+    # Without scatter, the collimator does not affect the signal inside the field.
     open_collimator = dataclasses.replace(part, pixels=whole.pixels)
     assert part.exposure_index == pytest.approx(open_collimator.exposure_index, rel=0.01)
     black = dataclasses.replace(whole, pixels=part.pixels)
@@ -130,7 +130,7 @@ def write_foreign_image(folder, name):
 @pytest.mark.parametrize("read", [pssf.load, pssf.load_parameters])
 def test_loading_a_foreign_image_raises_an_error_that_names_alternatives(tmp_path, name, read):
     with pytest.raises(
-        pssf.InputError, match=r"of another program: pssf predict, pssf\.features and pssf study --films"
+        pssf.InputError, match=r"of another program: use pssf predict, pssf\.features or pssf study --films"
     ) as raised:
         read(write_foreign_image(tmp_path, name))
     assert "\n" not in str(raised.value)
@@ -139,6 +139,6 @@ def test_loading_a_foreign_image_raises_an_error_that_names_alternatives(tmp_pat
 
 def test_loading_a_presentation_png_raises_an_error_with_a_remedy(radiograph, tmp_path):
     path = pssf.save(radiograph, tmp_path / "one.png")
-    with pytest.raises(pssf.InputError, match="PNG for presentation, without linear pixels: load_parameters reads"):
+    with pytest.raises(pssf.InputError, match="PNG for presentation, without linear pixels: use load_parameters"):
         pssf.load(path)
     assert pssf.load_parameters(path)["knee"] == radiograph.knee

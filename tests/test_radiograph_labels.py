@@ -31,7 +31,7 @@ FRONTAL = ("reference", "ap_standing", "caudal_beam", "fixed_flexion", "geometry
 
 
 def measure_gap_on_contours(built, protocol, truth, side):
-    """Measure the minimum joint space from the triangles as they are projected, or from the landmarks of the tibia."""
+    """Measure the minimum joint space from projected triangles, or from tibial landmarks."""
     view = resolve_view(protocol)
     middle = project_points(np.zeros((1, 3)), view)[0]
     lean = np.deg2rad(built.assembly.pose.lean_deg * (1 if built.knee.side == "right" else -1))
@@ -103,7 +103,7 @@ def test_jsw_labels_equal_specified_jsw_in_the_defining_protocol(knee, built):
     assert truth.jsw_lateral_mm == pytest.approx(knee.jsw_lateral_mm, abs=1e-3)
 
 
-def test_jsw_at_fixed_locations_agrees_with_the_minimum_jsw():
+def test_jsw_at_fixed_locations_is_consistent_with_the_minimum_jsw():
     protocol = pssf.load_protocol("fixed_flexion")
     off = {"medial": [], "lateral": []}
     for seed in range(3):
@@ -114,14 +114,14 @@ def test_jsw_at_fixed_locations_agrees_with_the_minimum_jsw():
             least = getattr(truth, f"jsw_{side}_mm")
             off[side].append(min(list(truth.jsw_at_mm.values())[of_side]) - least)
             assert least != pytest.approx(getattr(knee, f"jsw_{side}_mm"), abs=1e-3)
-    # JSW(x) is sampled every 2 mm: it is rarely below the minimum, at more peripheral locations, and little above.
+    # JSW(x) is sampled every 2 mm: its minimum may be slightly above JSW, or below it at more peripheral locations.
     for beyond in off.values():
         assert min(beyond) > -0.3
         assert np.median(beyond) < 0.3
 
 
 @pytest.mark.parametrize("view", ["lateral", "skyline"])
-def test_views_without_a_visible_joint_space_have_no_jsw_label(view):
+def test_views_without_a_visible_joint_space_have_no_jsw_labels(view):
     protocol = dataclasses.replace(pssf.load_protocol(view), rows=64, cols=64, pixel_mm=4.8)
     truth = pssf.build(pssf.Knee(), protocol).truth(protocol)
     assert (truth.jsw_medial_mm, truth.jsw_lateral_mm, truth.jsw_at_mm) == (None, None, {})

@@ -1,4 +1,4 @@
-"""All views: rotation of the leg, beams along the plateau, labels of each view."""
+"""Check all views: rotation of the leg, beams along the plateau, and labels."""
 
 import dataclasses
 
@@ -49,7 +49,7 @@ def schuss():
 
 
 def make_frontal_protocol(protocol):
-    """Make an AP protocol with the posture of another view."""
+    """Convert the protocol of a view to an AP protocol with the same posture."""
     return dataclasses.replace(protocol, projection="AP", beam_along="horizontal")
 
 
@@ -71,7 +71,7 @@ def test_rotating_the_leg_keeps_the_volume_of_every_surface(side, axial, upright
             assert compute_volume(other) > 0
 
 
-def test_a_lateral_view_has_the_fibula_at_the_detector_and_patella_left(side):
+def test_a_lateral_view_has_the_patella_left_and_fibula_near_the_detector(side):
     bones = {s.name: s.mesh_arrays.vertices for s in side.scene.surfaces}
     assert bones["fibula"][:, 1].mean() > bones["tibia"][:, 1].mean() + 15
     assert bones["patella"][:, 0].mean() < bones["femur"][:, 0].mean() - 30
@@ -82,13 +82,13 @@ def test_a_skyline_view_has_the_patella_above_the_femur(axial):
     bones = {s.name: s.mesh_arrays.vertices for s in axial.scene.surfaces}
     assert bones["patella"][:, 2].min() > bones["femur"][:, 2].max() - 5
     assert bones["patella"][:, 2].mean() > bones["femur"][:, 2].max() + 5
-    # Centres of bounding boxes are used, because the mean of vertices depends on the mesh density.
+    # Centres of bounding boxes are compared, because the mean of vertices depends on mesh density.
     middle = {name: (vertices.min(axis=0) + vertices.max(axis=0)) / 2 for name, vertices in bones.items()}
     assert middle["tibia"][1] > 30 > -30 > middle["femur"][1]
     assert bones["fibula"][:, 0].mean() < bones["tibia"][:, 0].mean() - 15
 
 
-def test_the_beam_of_a_skyline_passes_between_patella_and_femur(axial):
+def test_the_beam_of_a_skyline_view_passes_between_patella_and_femur(axial):
     protocol = reduce_matrix(SKYLINE, 4)
     masks = pssf.simulate(axial, protocol, keep=("masks",), engine="scanline").truth.masks
     patella, femur = masks["patella"], masks["femur"]
@@ -159,7 +159,7 @@ def test_a_beam_along_the_plateau_superimposes_its_margins(schuss, rotation_deg)
     )
 
 
-def test_a_radiograph_stores_the_fitted_beam_and_is_reproduced_with_it(schuss):
+def test_a_radiograph_stores_its_fitted_beam_and_can_be_reproduced(schuss):
     protocol = reduce_matrix(LYON)
     one = pssf.simulate(schuss, protocol, engine="scanline", rng=2)
     assert one.protocol.beam_along == "horizontal"
@@ -172,11 +172,11 @@ def test_a_radiograph_stores_the_fitted_beam_and_is_reproduced_with_it(schuss):
 def test_a_steeper_plateau_needs_a_smaller_beam_angle(schuss):
     steep = pssf.build(dataclasses.replace(KNEE, tibial_slope_deg=KNEE.tibial_slope_deg + 3), LYON)
     less = schuss.aim_beam(LYON).beam_angle_deg - steep.aim_beam(LYON).beam_angle_deg
-    # The change is not exactly 3 degrees, because other points of the rims become the margins.
+    # The change differs slightly from 3 degrees, because the plateau margins move to other points of the rims.
     assert 2.3 < less < 3.7
 
 
-def test_a_beam_that_is_not_yet_fitted_raises_an_error(schuss):
+def test_a_beam_angle_that_is_not_fitted_yet_raises_an_error(schuss):
     for function in (resolve_view, lambda protocol: pssf.trace(schuss.scene, protocol)):
         with pytest.raises(
             InputError, match=r"beam_along must be 'horizontal' .*, got 'medial_plateau': use BuiltKnee\.aim_beam"
@@ -186,19 +186,19 @@ def test_a_beam_that_is_not_yet_fitted_raises_an_error(schuss):
         pssf.simulate(schuss.scene, reduce_matrix(LYON))
 
 
-def test_a_plateau_beyond_the_beam_range_raises_an_error():
+def test_a_plateau_slope_beyond_the_beam_range_raises_an_error():
     leaning = dataclasses.replace(LYON, tibia_forward_deg=45.0)
-    with pytest.raises(InputError, match=r"angle between -30 and 30 deg, got plateau margins .* mm apart"):
+    with pytest.raises(InputError, match=r"angles of -30 and 30 deg, the plateau margins are .* mm apart"):
         pssf.build(KNEE, leaning).aim_beam(leaning)
 
 
 @pytest.mark.parametrize("flexion_deg", [42.0, 60.0, 75.0])
-def test_bending_a_limb_keeps_its_thickness_and_is_reversible(flexion_deg):
+def test_bending_a_limb_is_reversible_and_preserves_its_thickness(flexion_deg):
     bend = build_limb_bend(flexion_deg, 1.0)
     straight = np.random.default_rng(1).uniform([-60, -70, -200], [60, 70, 340], (500, 3))
     bent = bend.bend_points(straight)
     assert_allclose(bend.straighten_points(bent), straight, atol=1e-9)
-    # Front and back of a section keep their distance.
+    # The distance between front and back of a cross-section is unchanged.
     across = np.array([[0.0, -60.0, 0.0], [0.0, 60.0, 0.0]])
     for height in (-150.0, 0.0, 60.0, 300.0):
         front, back = bend.bend_points(across + np.array([0.0, 0.0, height]))
@@ -207,7 +207,7 @@ def test_bending_a_limb_keeps_its_thickness_and_is_reversible(flexion_deg):
     assert np.rad2deg(np.arctan2(high[1] - low[1], high[2] - low[2])) == pytest.approx(bend.angle_deg)
 
 
-def test_shear_and_bend_add_up_to_the_flexion():
+def test_shear_and_bending_angles_add_up_to_the_flexion():
     assert build_limb_bend(40.0, 1.0).angle_deg == 0
     for flexion_deg in (0.0, 22.0, 40.0, 41.0, 45.0, 60.0):
         assert shear_angle_deg(flexion_deg) + build_limb_bend(flexion_deg, 1.0).angle_deg == pytest.approx(flexion_deg)
@@ -268,11 +268,11 @@ def test_the_slope_measured_on_a_lateral_view_follows_the_tibial_slope(side):
         )
     # The slope is that of the medial plateau between its rims, about 1.5 deg more than the mean of both plateaus.
     assert slopes_deg[0] == pytest.approx(KNEE.tibial_slope_deg + 1.5, abs=2.0)
-    # The change is not exactly 4 degrees, because the tangents touch other points of the rims.
+    # The change differs slightly from 4 degrees, because tangents touch other points of the rims.
     assert 2.5 < slopes_deg[1] - slopes_deg[0] < 5.0
 
 
-def test_the_deviation_is_measured_from_the_nearer_end_of_a_range():
+def test_a_deviation_from_a_range_is_measured_from_its_nearer_end():
     known = load_reference_tables().views["inter_margin_fixed_flexion_mm"]
     rows = [
         view_effects._compare_quantity("inter_margin_fixed_flexion_mm", known, (value, 0.5), 3)
@@ -281,7 +281,7 @@ def test_the_deviation_is_measured_from_the_nearer_end_of_a_range():
     assert [row["off"] for row in rows] == pytest.approx([1.0 - known.range[0], 0.0, 3.0 - known.range[1]])
 
 
-def test_every_reference_of_patient_radiographs_is_measured_on_knees():
+def test_every_reference_value_of_patient_views_is_also_simulated():
     found = view_effects.measure_knee_on_views((1, KNEE), load_anatomy_tables(), beam_angle_range_deg())
     assert set(found) - set(view_effects._ALTERNATIVE_DEFINITIONS) | {"beam_along_plateau_sd_deg"} == set(
         load_reference_tables().views
@@ -295,7 +295,7 @@ def test_every_reference_of_patient_radiographs_is_measured_on_knees():
     assert 90 < found["sulcus_angle_deg"] < 180
 
 
-def test_the_scatter_kernel_is_compared_with_monte_carlo_per_view():
+def test_scatter_kernel_and_monte_carlo_are_compared_for_each_view():
     (row,) = view_scatter.compare_scatter_by_view(1, ("lateral",), 200_000)
     assert (row["view"], row["photons"]) == ("lateral", 200_000)
     assert 40 < row["exit_gap_mm"] < 80
@@ -317,14 +317,12 @@ def test_dicom_patient_orientation_follows_the_view(name, side_of, orientation):
     assert item.ViewCodeSequence[0].CodeValue == {"ML": "399260004", "axial": "399110001"}[protocol.projection]
 
 
-def test_a_landmark_that_a_view_does_not_show_raises_an_error(side):
-    with pytest.raises(
-        InputError, match=r"landmark must be one that this view shows \(joint.*\), got 'medial_joint_line'"
-    ):
+def test_a_landmark_that_is_not_visible_in_a_view_raises_an_error(side):
+    with pytest.raises(InputError, match=r"landmark must be one of joint.* in this view, got 'medial_joint_line'"):
         _ = side.truth(LATERAL).medial_joint_line_px
 
 
-def test_a_bilateral_acquisition_keeps_its_full_field():
+def test_a_sampled_bilateral_acquisition_is_not_collimated():
     sampled = pssf.sample_acquisition(pssf.load_protocol("bilateral"), rng=np.random.default_rng(1))
     assert (sampled.field_width_mm, sampled.field_height_mm) == (0, 0)
     assert sampled.knee_distance_mm == 210
@@ -336,12 +334,12 @@ def test_positioning_criteria_are_measured_on_projections(monkeypatch):
     assert set(found) == set(load_reference_tables().criteria)
     rear = dataclasses.replace(KNEE, fibular_tip_mm=25.0)
     lower = positioning_criteria.measure_knee_positioning(rear)
-    # A more distal fibular tip is beside a narrower part of the tibia.
+    # A more distal fibular tip is at the level of a narrower part of the tibia.
     assert lower["ap_head_under_tibia_percent"] < found["ap_head_under_tibia_percent"]
     assert 1.2 < found["rosenberg_notch_over_ap"] < 4.0
 
 
-def test_clearance_of_projections_is_measured_in_the_joint_plane():
+def test_clearance_between_projections_is_scaled_to_the_joint_plane():
     view = resolve_view(pssf.load_protocol("lateral"))
     one, other = np.zeros((2, 40, 60), np.bool_)
     one[10:20, 5:15], other[12:18, 25:40] = True, True

@@ -1,4 +1,4 @@
-"""Regions of interest, bone masks and features of a region."""
+"""Check regions of interest, bone masks and features of a region."""
 
 from functools import partial
 
@@ -38,7 +38,7 @@ def make_texture(size: int, seed: int, smooth: float = 1.5):
 
 
 @given(row=st.floats(8, 24), col=st.floats(8, 24))
-def test_a_region_is_centred_and_never_wraps_around(row, col):
+def test_a_region_is_centred_and_does_not_wrap_around_image_borders(row, col):
     image = np.arange(32 * 32).reshape(32, 32)
     region = cut_region(image, row, col, 16)
     assert region.shape == (16, 16)
@@ -51,13 +51,13 @@ def test_the_bone_mask_covers_bone_and_excludes_joint_space():
     image = make_phantom(160, 160)
     mask = segment_bone(image[96:224, 96:224], PIXEL_MM)
     rows, cols = np.mgrid[-64:64, -64:64] * PIXEL_MM
-    # Regions: deep in femur and tibia; in the joint space; medial of the bone, where the limb is thinner.
+    # Checked areas: inside femur and tibia, in the joint space, and in the thinner limb medial to the bone.
     assert mask[(np.abs(rows) > 6) & (np.abs(cols + 2) < 10)].mean() > 0.99
     assert mask[(np.abs(rows) < 1.5) & (np.abs(cols) < 12)].mean() < 0.01
     assert mask[:, cols[0] > 20].mean() < 0.01
 
 
-def test_a_region_of_one_grey_value_has_features():
+def test_a_region_of_constant_grey_value_has_features():
     found = extract_features(np.full((32, 32), 500, np.uint16), PIXEL_MM, TAGS)
     assert found["firstorder_linear_Mean"] == 500
 
@@ -185,7 +185,7 @@ def test_measured_records_are_reused_until_the_settings_change():
 
 
 @pytest.mark.parametrize("name", ["row_px", "status", "glcm_Contrast"])
-def test_a_modified_record_is_measured_again(name):
+def test_a_modified_feature_record_is_measured_again(name):
     measure = partial(
         measure_radiographs,
         make_jobs(2),
@@ -200,7 +200,7 @@ def test_a_modified_record_is_measured_again(name):
     assert again == first
 
 
-def test_the_key_of_the_settings_changes_with_the_template():
+def test_the_settings_key_changes_with_the_template():
     other = Template(pixels=TEMPLATE.pixels + 1, row=160, col=180, pixel_mm=PIXEL_MM)
     assert hash_settings([TEMPLATE], ExtractionSettings()) != hash_settings([other], ExtractionSettings())
     assert hash_settings([TEMPLATE], ExtractionSettings()) == hash_settings([TEMPLATE], ExtractionSettings())
@@ -215,7 +215,7 @@ def test_the_key_of_the_settings_changes_with_the_template():
         "io/radiograph_files.py",
     ],
 )
-def test_the_key_of_the_settings_changes_with_the_code(copied_code, name):
+def test_the_settings_key_changes_with_the_code(copied_code, name):
     before = hash_settings([TEMPLATE], ExtractionSettings())
     append_byte(copied_code / name)
     assert hash_settings([TEMPLATE], ExtractionSettings()) != before
@@ -233,7 +233,7 @@ def test_a_worker_with_other_code_raises_an_error():
         )
 
 
-def test_a_rejected_match_keeps_its_location_and_has_no_features():
+def test_a_rejected_match_has_a_location_but_no_features():
     (record,), _ = measure_radiographs(
         make_jobs(1),
         load_pixels=load_phantom,

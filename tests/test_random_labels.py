@@ -1,4 +1,4 @@
-"""Claims of the study on random labels, where none may hold."""
+"""Check the claims of the study on random labels, for which no claim is true."""
 
 import numpy as np
 import pandas as pd
@@ -16,25 +16,25 @@ from pssf.validation.study_methods.random_label_test import (
 )
 
 
-def test_claims_rarely_hold_on_random_labels():
-    # Each measure holds by chance in 2.5 %; a claim has two to four measures, most of them correlated.
+def test_claims_of_the_study_rarely_hold_for_random_labels():
+    # Each measure supports a false claim in 2.5 % of cohorts; a claim has two to four, mostly correlated measures.
     rows = count_false_claims(1, cohorts=3)
     found = np.array([row["held"] for row in rows])
     assert len(found) == 13
     assert found.sum() <= binom.ppf(0.999, 3 * len(found), 0.05)
     assert (found < 3).all()
-    # Refuted and undecided claims are counted separately: a high AUC is refuted here, a trend rarely.
+    # Refuted and undecided claims are counted separately: random labels refute a high AUC, but rarely a trend.
     refuted = {str(row["claim"]): row["refuted"] for row in rows}
     assert refuted["Models discriminate grades 0 and 2 well within a protocol"] == 3
     assert sum(of for claim, of in refuted.items() if " with grade" in claim) < 3 * 6 / 2
 
 
 @pytest.mark.slow
-def test_each_claim_holds_in_at_most_1_of_20_random_label_cohorts():
+def test_each_claim_holds_for_at_most_1_in_20_cohorts_of_random_labels():
     assert all(row["held"] <= 1 for row in count_false_claims(1))
 
 
-def test_random_predictions_show_no_order_of_grades_in_19_of_20_cohorts():
+def test_random_predictions_show_no_grade_order_in_19_of_20_cohorts():
     found = 0
     for seed in range(20):
         rng, parts = np.random.default_rng(seed), []

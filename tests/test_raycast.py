@@ -1,4 +1,4 @@
-"""Ray caster: exact chords of convex polyhedra, closed forms, invariants and agreement of the two engines."""
+"""Check the ray caster: exact chords of convex polyhedra, closed forms, invariants and agreement of both engines."""
 
 from dataclasses import replace
 
@@ -46,7 +46,7 @@ def make_box(*extents_mm, **pose):
 
 
 def make_rough_ball(seed, radius_mm=25.0):
-    """Make a ball with a random radius at every vertex: closed, far from convex, with slivers and folds."""
+    """Make a closed, non-convex ball with a random radius at every vertex, which has slivers and folds."""
     mesh = trimesh.creation.icosphere(subdivisions=3, radius=radius_mm)
     scale = np.random.default_rng(seed).uniform(0.4, 1.6, (len(mesh.vertices), 1))
     return trimesh.Trimesh(mesh.vertices * scale, mesh.faces, process=False)
@@ -57,7 +57,7 @@ def make_scene(mesh, material="water"):
 
 
 def compute_rays(view):
-    """Compute the source (3,) and the vectors (rows, cols, 3) from source to pixel, by the definition of the view."""
+    """Compute the source (3,) and the vectors (rows, cols, 3) from source to pixels from the definition of the view."""
     direction = np.empty((view.rows, view.cols, 3))
     direction[..., 0] = view.centre_mm[0] + (np.arange(view.cols) - (view.cols - 1) / 2) * view.pixel_mm
     direction[..., 1] = view.centre_mm[1]
@@ -118,7 +118,7 @@ ACCEPTANCE = {
 }
 LARGE = make_protocol(rows=1024, cols=1024, pixel_mm=0.15)
 
-# Half the spacing of float32 from 64 to 128 mm is 3.8e-6 mm: only storage limits the results.
+# Tolerance for stored path lengths: the rounding error of float32 between 64 and 128 mm is 3.8e-6 mm.
 STORED_MM = 5e-6
 
 
@@ -154,7 +154,7 @@ def test_both_engines_give_the_exact_chords_of_nested_spheres():
 @pytest.mark.parametrize("engine", ENGINES)
 @few
 @given(at=positions, turn=rotations, seed=st.integers(0, 2**31))
-def test_paths_of_all_materials_add_up_to_the_length_inside_the_box(engine, at, turn, seed):
+def test_path_lengths_of_all_materials_sum_to_the_length_in_the_box(engine, at, turn, seed):
     shell, core = make_rough_ball(seed, 15.0), make_rough_ball(seed, 8.0)
     limb = move_mesh(make_box(50, 50, 56), at, turn)
     scene = Scene(
@@ -233,7 +233,7 @@ HALVED = View(source_mm=(0.0, -512.0, 0.0), centre_mm=(0.0, 512.0, 0.0), rows=65
 
 
 def make_frustum(rows, cols, depths=(0.45, 0.55)):
-    """Make a frustum along the rays of HALVED between two rows and two columns; its sides are parallel to the rays."""
+    """Make a frustum between two rows and two columns of HALVED; the sides are parallel to the rays."""
     pixels = [(s, r, c) for s in depths for r in rows for c in cols]
     points = [(s * (c - 32.0), s * 1024.0 - 512.0, s * (32.0 - r)) for s, r, c in pixels]
     return trimesh.Trimesh(points, process=False).convex_hull
@@ -241,7 +241,7 @@ def make_frustum(rows, cols, depths=(0.45, 0.55)):
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_box_with_its_edges_on_pixel_centres_is_counted_once(engine):
-    # Whole sizes and a magnification that is a power of two project the front exactly on pixel rows and columns.
+    # Integer sizes and a magnification of a power of two project the front edges exactly onto pixel centres.
     mesh = trimesh.creation.box(bounds=[[-8, 0, -8], [8, 8, 8]])
     paths = trace(make_scene(mesh), HALVED, engine=engine)
     assert_allclose(paths.path_mm["water"], compute_convex_chord(mesh, HALVED), rtol=0, atol=1e-5)
@@ -249,7 +249,7 @@ def test_a_box_with_its_edges_on_pixel_centres_is_counted_once(engine):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_on_sides_parallel_to_the_rays_the_chord_is_between_zero_and_full(engine):
+def test_chords_along_parallel_sides_are_between_zero_and_the_depth(engine):
     paths = trace(make_scene(make_frustum((20, 44), (16, 32))), HALVED, engine=engine)
     fraction = paths.path_mm["water"] / (np.linalg.norm(compute_rays(HALVED)[1], axis=-1) * 0.1)
     assert_allclose(fraction[21:44, 17:32], 1.0, atol=1e-6)
@@ -262,7 +262,7 @@ def test_on_sides_parallel_to_the_rays_the_chord_is_between_zero_and_full(engine
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("off_px", [-1e-3, -1e-5, -1e-7, 1e-7, 1e-5, 1e-3])
 def test_pixels_next_to_a_side_parallel_to_the_rays_are_exact(engine, off_px):
-    # The smallest offset, 1e-7 pixels, is a hundredth of the resolution of float32 here.
+    # The smallest offset of 1e-7 pixels is a hundredth of the float32 resolution at these coordinates.
     mesh = make_frustum((20 - off_px, 44 + off_px), (16 - off_px, 32 + off_px))
     paths = trace(make_scene(mesh), HALVED, engine=engine)
     inside = np.s_[20:45, 16:33] if off_px > 0 else np.s_[21:44, 17:32]
@@ -273,8 +273,8 @@ def test_pixels_next_to_a_side_parallel_to_the_rays_are_exact(engine, off_px):
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_thin_edge_is_exact_if_float32_misses_entry_and_exit(engine):
-    # The blade is 512 mm deep and 0.05 pixels wide; column 40 is inside its edge by 1e-7 pixels.
+def test_a_thin_edge_is_exact_although_float32_misses_entry_and_exit(engine):
+    # A blade 512 mm deep and 0.05 pixels wide; the edge is 1e-7 pixels beyond column 40.
     pixels = [
         (s, r, c) for r in (-400.3, 450.7) for s, c in ((0.5, 40 + 1e-7), (0.5, 39.9), (0.25, 39.95), (0.75, 39.95))
     ]
@@ -359,7 +359,7 @@ def test_the_audit_counts_the_rays_that_each_engine_traces():
 
 
 def count_embree_rays(monkeypatch):
-    """Record the number of rays of each later call of Embree."""
+    """Record the number of rays in each subsequent call of Embree."""
     counts = []
 
     class Counting(embree.EmbreeScene):
@@ -372,7 +372,7 @@ def count_embree_rays(monkeypatch):
 
 
 def count_mean_crossings(mesh, view, step=16):
-    """Compute the mean number of crossings of the rays that cross a mesh, on every `step` rows and columns."""
+    """Compute the mean number of crossings per ray that crosses a mesh, using every `step`-th row and column."""
     source, direction = compute_rays(view)
     direction = direction[::step, ::step].reshape(-1, 3)
     found = mesh.ray.intersects_location(np.broadcast_to(source, direction.shape), direction, multiple_hits=True)[1]
@@ -388,14 +388,14 @@ def test_rays_that_reuse_the_triangles_of_a_neighbour_are_exact(monkeypatch, mes
     crossed = count_mean_crossings(mesh, resolve_view(fine))
     counts = count_embree_rays(monkeypatch)
     paths = trace(make_scene(mesh), fine, engine="embree", precision="float64")
-    # Without reuse each ray is cast once per crossing and once more.
+    # Without reuse, each ray would be cast once per crossing and a final time.
     assert sum(counts) < 0.7 * crossed * paths.audit.rays
     assert_allclose(paths.path_mm["water"], exact, rtol=0, atol=1e-9)
     assert_clean(paths.audit)
 
 
-def test_rays_of_small_triangles_step_to_adjacent_triangles(monkeypatch):
-    # Triangles have about 3 pixels, so rays rarely cross the same triangles as one cast 5 pixels away.
+def test_rays_through_small_triangles_continue_in_adjacent_triangles(monkeypatch):
+    # Triangles cover about 3 pixels, so a ray rarely crosses the same triangles as the cast ray 5 pixels away.
     mesh, fine = make_ball(50.0, subdivisions=6), make_protocol(rows=512, cols=512, pixel_mm=0.3)
     exact = trace(make_scene(mesh), fine, engine="scanline", precision="float64").path_mm["water"]
     counts = count_embree_rays(monkeypatch)
@@ -406,7 +406,7 @@ def test_rays_of_small_triangles_step_to_adjacent_triangles(monkeypatch):
 
 
 @pytest.mark.parametrize("open_at", [None, 5])
-def test_the_adjacent_face_has_the_edge_in_the_opposite_direction(open_at):
+def test_adjacent_faces_contain_their_edge_in_opposite_directions(open_at):
     faces = np.asarray(make_ball(1.0, subdivisions=2).faces, np.int32)
     faces = faces if open_at is None else np.delete(faces, open_at, axis=0)
     edges = {(face[k], face[(k + 1) % 3]): number for number, face in enumerate(faces.tolist()) for k in range(3)}
@@ -418,7 +418,7 @@ def test_the_adjacent_face_has_the_edge_in_the_opposite_direction(open_at):
 
 @pytest.mark.parametrize("count", [200, 3])
 def test_parallel_plates_are_exact_and_repaired_once_per_band(monkeypatch, count):
-    # The diagonals of the faces pass through pixel centres.
+    # Face diagonals pass through pixel centres, so many rays are uncertain.
     plates = [make_box(150.0, 0.2, 150.0, at=(0.0, 0.5 * k - 50.0, 0.0)) for k in range(count)]
     protocol = make_protocol(rows=96, cols=96, pixel_mm=1.0)
     expected = sum(compute_convex_chord(plate, resolve_view(protocol)) for plate in plates)
@@ -433,7 +433,7 @@ def test_parallel_plates_are_exact_and_repaired_once_per_band(monkeypatch, count
     assert len(calls) <= 2 * count * (96 // BAND_ROWS)
 
 
-def test_rays_beyond_the_hit_limit_are_repaired_to_the_same_lengths(monkeypatch):
+def test_rays_beyond_the_hit_limit_are_repaired_to_the_same_path_lengths(monkeypatch):
     expected = trace(make_scene(make_rough_ball(8)), make_protocol()).path_mm["water"]
     monkeypatch.setattr(embree, "HIT_LIMIT", 1)
     paths = trace(make_scene(make_rough_ball(8)), make_protocol())
@@ -442,7 +442,7 @@ def test_rays_beyond_the_hit_limit_are_repaired_to_the_same_lengths(monkeypatch)
     assert_clean(paths.audit)
 
 
-def test_an_unbalanced_ray_is_counted_and_repaired(monkeypatch):
+def test_a_ray_with_a_missing_crossing_is_counted_and_repaired(monkeypatch):
     class Forgetful(embree.EmbreeScene):
         """Embree with every fiftieth hit removed."""
 
@@ -460,7 +460,7 @@ def test_an_unbalanced_ray_is_counted_and_repaired(monkeypatch):
     assert_allclose(paths.path_mm["water"], expected, rtol=0, atol=1e-5)
 
 
-def test_signs_of_a_scanned_surface_sum_to_zero_on_every_row():
+def test_winding_numbers_of_a_surface_sum_to_zero_on_every_row():
     sheet = project_surface(make_scene(make_rough_ball(9)).surfaces[0].solid, resolve_view(make_protocol()))
     for row in range(*sheet.rows):
         assert not scanline.sum_windings(sheet, row, row + 1).any()
@@ -474,7 +474,7 @@ class Broken:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_density_that_returns_nan_raises_an_error_with_its_surfaces(engine):
+def test_the_error_for_a_density_that_returns_nan_names_its_surfaces(engine):
     broken = Broken()
     shell = Surface(make_ball(30.0), "water", "air", "shell", inside_density=broken)
     core = Surface(make_ball(20.0), "muscle", "water", "core", outside_density=broken)
@@ -484,7 +484,7 @@ def test_a_density_that_returns_nan_raises_an_error_with_its_surfaces(engine):
     assert trace(Scene([shell, core]), make_protocol(), engine=engine, texture=False).path_mm["water"].max() > 10
 
 
-def test_paths_are_compared_by_content_and_printed_without_arrays():
+def test_path_lengths_are_compared_by_content_and_printed_in_short():
     scene = make_scene(make_ball(30.0))
     paths, again = (trace(scene, make_protocol()) for _ in range(2))
     assert paths.scene is scene
@@ -514,7 +514,7 @@ def test_embree_casts_a_scene_of_more_than_a_thousand_surfaces():
 def test_unknown_engines_materials_and_workers_raise_an_error():
     scene = make_scene(make_ball(10.0))
     for materials in ("water", 3):
-        with pytest.raises(InputError, match=f"materials must be a list of air, water, got {materials!r}"):
+        with pytest.raises(InputError, match=f"materials must be a list with names from air, water, got {materials!r}"):
             trace(scene, make_protocol(), materials=materials)
     with pytest.raises(InputError, match=r"material must be one of air, water, got \['water'\]"):
         trace(scene, make_protocol(), materials=[["water"]])

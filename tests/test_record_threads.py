@@ -1,9 +1,9 @@
-"""Parsing of new record types by several threads at once."""
+"""Check that several threads can parse new record types at the same time."""
 
 import subprocess
 import sys
 
-# A thread that finds a partly described type crashes the process, so the test starts a new one.
+# Code for a new process, because a failure (a partly initialised record type) would crash the process.
 CODE = """
 import sys, threading
 from pssf.data.table_records import Record, parse_record

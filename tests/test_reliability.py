@@ -1,4 +1,4 @@
-"""Reliability: ICC with intervals, variance components, repeated radiographs."""
+"""Check reliability: ICC with intervals, variance components and repeated radiographs."""
 
 import numpy as np
 import pandas as pd
@@ -27,13 +27,13 @@ from pssf.study.statistics.scores.metrics import percentile_interval
 
 
 def sample_values(knees: int, conditions: int, *, condition_sd: float, noise: float, seed: int) -> np.ndarray:
-    """Sample values (knees, conditions): knees with variance 1 and an offset per condition."""
+    """Sample values (knees, conditions) with variance 1 between knees, an offset per condition and noise."""
     rng = np.random.default_rng(seed)
     values = rng.normal(size=(knees, 1)) + condition_sd * rng.normal(size=conditions)
     return values + noise * rng.normal(size=(knees, conditions))
 
 
-def test_identical_conditions_have_an_icc_of_one_with_a_zero_interval():
+def test_identical_conditions_have_an_icc_of_one_with_zero_width():
     values = np.repeat(np.arange(6.0)[:, None], 3, axis=1)
     assert icc(values) == (1.0, 1.0)
     found = compute_bounds(values, np.arange(6), replicates=50)
@@ -42,7 +42,7 @@ def test_identical_conditions_have_an_icc_of_one_with_a_zero_interval():
 
 
 @pytest.mark.parametrize("offset", [0.0, 1.0, 1e6])
-def test_a_feature_that_is_constant_per_condition_has_no_icc(offset):
+def test_a_feature_that_is_constant_within_conditions_has_no_icc(offset):
     values = np.tile([3.0, 3.0 + offset], (12, 1))
     values[4, 1] += 1e-13 * values[4, 1]
     assert np.isnan(icc(values)).all()
@@ -63,7 +63,7 @@ def test_a_constant_feature_has_no_variance_components():
 
 
 def test_variance_components_equal_the_simulated_ones():
-    # Variances are 1, 0.5 and 0.25; 40 conditions give the second to sqrt(2/39) = 23 %; the bound is 4 SD of it.
+    # Variances are 1, 0.5 and 0.25. The SD of the second is sqrt(2/39) = 23 % for 40 conditions; the bound is 4 SD.
     fractions = compute_variance_fractions(sample_values(400, 40, condition_sd=np.sqrt(0.5), noise=0.5, seed=1))
     assert sum(fractions) == pytest.approx(1)
     assert_allclose(fractions, np.array([1, 0.5, 0.25]) / 1.75, atol=4 * 0.23 * 0.5 / 1.75)
@@ -72,7 +72,8 @@ def test_variance_components_equal_the_simulated_ones():
 
 def test_a_negative_component_is_set_to_zero():
     values = sample_values(10, 3, condition_sd=0.0, noise=1.0, seed=0)
-    values -= values.mean(axis=0)  # conditions differ by less than noise
+    # Conditions differ by less than the noise, so the unbiased variance component is negative.
+    values -= values.mean(axis=0)
     assert compute_variance_fractions(values)[1] == 0.0
 
 
@@ -87,7 +88,7 @@ def make_table(values: np.ndarray, conditions: list[str]) -> pd.DataFrame:
 
 def test_identifiers_of_subjects_and_knees_may_be_strings():
     table = make_table(sample_values(12, 2, condition_sd=0.3, noise=0.4, seed=2), ["reference", "other"])
-    # Two knees per subject, with strings that sort like the numbers.
+    # Two knees per subject; the string identifiers have the same order as the numbers.
     table["subject"] = table["knee"] // 2
     named = table.assign(**{name: table[name].map("P{:02d}".format) for name in ("subject", "knee")})
     again = [given[given["protocol"] == "other"].assign(kind="noise", repeat_index=1) for given in (table, named)]
@@ -109,7 +110,7 @@ def test_the_reliability_class_uses_the_lower_bound():
     assert row["class"] == "good"
 
 
-def test_a_missing_value_excludes_its_knee_only_for_that_feature():
+def test_a_missing_value_excludes_its_knee_only_for_its_feature():
     table = make_table(sample_values(12, 2, condition_sd=0.1, noise=0.2, seed=4), ["reference", "other"])
     whole = compute_reliability(table.assign(c=table["a"]), ["a", "c"], "reference").set_index("feature")
     table = table.assign(c=table["a"].where(table["radiograph"] != "3_other"))
@@ -125,7 +126,7 @@ def test_both_knees_of_a_subject_count_as_one_subject():
     assert (row["knees"], row["subjects"]) == (12, 6)
 
 
-def test_a_knee_without_one_protocol_is_left_out():
+def test_a_knee_that_lacks_a_protocol_is_excluded():
     table = make_table(sample_values(5, 2, condition_sd=0, noise=0.2, seed=0), ["reference", "other"])
     values, subjects = pivot_features(
         table[table["radiograph"] != "2_other"], ["a"], "protocol", ["reference", "other"]
@@ -153,7 +154,7 @@ def test_repeats_are_paired_with_the_first_radiograph_of_their_knee():
 
 
 def sample_knee_pairs(subjects: int, seed: int) -> np.ndarray:
-    """Sample values (2 subjects, 3): half of the variance of 1 is common to both knees; noise has variance 0.25."""
+    """Sample values (2 x subjects, 3) with variance 1, half of it common to both knees, and noise of variance 0.25."""
     rng = np.random.default_rng(seed)
     shared = np.repeat(rng.normal(size=subjects), 2) * np.sqrt(0.5)
     knees = shared + np.sqrt(0.5) * rng.normal(size=2 * subjects)
@@ -176,14 +177,14 @@ def test_subject_bootstrap_intervals_have_nominal_coverage(subjects):
         missed += not low <= 0.8 <= high
         resampled = compute_weighted_icc(values, sample_knee_weights(owners, replicates=300, seed=seed))[1]
         by_percentiles += not percentile_interval(resampled)[0] <= 0.8 <= percentile_interval(resampled)[1]
-    # 300 intervals miss 15 +- 3.8 times.
+    # Of 300 intervals with 95 % coverage, 15 +- 3.8 miss the true value.
     assert missed <= 15 + 4 * 3.8
     assert missed < by_percentiles
 
 
 @pytest.mark.parametrize("value", [1.0, 0.9, 0.0, -0.4])
 @pytest.mark.parametrize("conditions", [2, 3, 7])
-def test_an_icc_interval_contains_it_and_stays_in_the_possible_range(value, conditions):
+def test_an_icc_interval_contains_the_icc_within_the_possible_range(value, conditions):
     resampled = np.clip(value + 0.3 * np.random.default_rng(0).normal(size=200), -1, 1)
     low, high = compute_icc_interval(value, resampled, conditions=conditions, subjects=12)
     assert min(value, -1 / (conditions - 1)) <= low <= value <= high <= 1
@@ -194,13 +195,13 @@ def test_duplicate_knees_of_a_subject_do_not_narrow_the_interval():
     twice, subjects = np.repeat(once, 2, axis=0), np.repeat(np.arange(60), 2)
     alone = compute_bounds(once, np.arange(60))
     both = compute_bounds(twice, subjects)
-    # They differ by the degrees of freedom, which are those of twice as many knees.
+    # Both results differ only by the degrees of freedom, because one data set has twice as many knees.
     assert_allclose(both, alone, atol=0.01)
     wrong = compute_bounds(twice, np.arange(120))[1]
     assert wrong[1] - wrong[0] < 0.8 * (both[1][1] - both[1][0])
 
 
-def test_a_bootstrap_sample_equal_to_the_cohort_has_its_icc():
+def test_a_bootstrap_sample_identical_to_the_cohort_has_the_same_icc():
     values = sample_values(30, 3, condition_sd=0.5, noise=0.4, seed=2)
     found = compute_icc_form_intervals(icc(values), values, np.ones((1, 30)), 30)
     for (low, high), known in zip(found, icc(values), strict=True):
@@ -209,7 +210,7 @@ def test_a_bootstrap_sample_equal_to_the_cohort_has_its_icc():
 
 
 def test_icc_intervals_are_comparable_for_one_or_two_knees_per_subject():
-    # The second protocol has a large offset; protocols are fixed, so the interval stays finite.
+    # The second protocol has a large offset; the interval stays finite, because protocols are fixed effects.
     table = make_table(sample_knee_pairs(20, 5)[:, :2] + np.array([0.0, 2.0]), ["reference", "other"])
     alone = compute_reliability(table, ["a", "b"], "reference", replicates=300).set_index("feature").loc["a"]
     two = compute_reliability(table.assign(subject=table["knee"] // 2), ["a", "b"], "reference", replicates=300)
@@ -246,7 +247,7 @@ def test_an_offset_between_protocols_lowers_agreement_and_not_consistency():
     assert 0 < agreement < 0.5
 
 
-def test_a_constant_feature_has_no_icc_and_is_counted_separately():
+def test_a_constant_feature_without_an_icc_is_counted_separately():
     assert np.isnan(icc(np.full((5, 3), 7.0))).all()
     assert np.isnan(icc(1 + 1e-15 * np.arange(15.0).reshape(5, 3))).all()
     table = make_features(8).assign(constant=1.0)

@@ -25,16 +25,18 @@ SCORES = make_scores(
 )
 
 
-def test_the_summary_gives_the_range_of_models_without_baselines():
+def test_the_summary_states_the_range_of_models_without_baselines():
     auc, claims = summarise_results(SCORES, CLAIMS)
     assert auc == (
         "AUC for grade 0 vs 2, mean over the splits, range over 2 models: within one protocol "
         "0.81 to 0.92; on another protocol 0.70; trained and tested on all protocols 0.88."
     )
-    assert claims == ("Of 4 measurements of the claims of the paper, 2 hold, 1 do not hold, 1 are not decidable here.")
+    assert claims == (
+        "Of 4 measures of the published claims, 2 hold, 1 do not hold, 1 are not decidable with this cohort."
+    )
 
 
-def test_the_summary_of_one_protocol_and_one_model_omits_the_rest():
+def test_the_summary_of_one_protocol_and_model_omits_other_statements():
     (auc, _) = summarise_results(SCORES[1:2], CLAIMS)
     assert auc == "AUC for grade 0 vs 2, mean over the splits, one model: within one protocol 0.81."
 
@@ -59,7 +61,7 @@ def test_the_summary_of_one_protocol_and_one_model_omits_the_rest():
         (["not decidable", "holds"], (6, 9), 3, ""),
     ],
 )
-def test_an_undecided_run_is_explained_in_one_sentence(verdicts, tested, rarest, message):
+def test_the_summary_explains_an_undecided_study_in_one_sentence(verdicts, tested, rarest, message):
     sentence = explain_undecided_run(pd.DataFrame({"verdict": verdicts}), 20, tested, rarest)
     assert sentence.startswith(message) if message else sentence == ""
     assert sentence.count(".") <= 1

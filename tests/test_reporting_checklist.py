@@ -1,4 +1,4 @@
-"""Check which items of reporting guidelines the files of a study answer."""
+"""Check which items of reporting guidelines are answered by the files of a study."""
 
 import csv
 import json
@@ -19,7 +19,7 @@ def write_table(path, rows):
 
 
 def change_rows(path, change):
-    """Change each row of a CSV table."""
+    """Apply a function to each row of a CSV table."""
     with open(path, newline="") as handle:
         rows = list(csv.DictReader(handle))
     write_table(path, [row | change(row) for row in rows])
@@ -27,7 +27,7 @@ def change_rows(path, change):
 
 @pytest.fixture(scope="module")
 def whole(film_study, tmp_path_factory):
-    """Copy a study and add the files that only a larger study writes, so that every item is answered."""
+    """Copy a study and add files that only larger studies contain, so that all items are answered."""
     folder = tmp_path_factory.mktemp("whole_study") / "out"
     shutil.copytree(film_study.report.parent, folder)
     for name in ("cohort", "repeats"):
@@ -85,7 +85,7 @@ def test_a_complete_study_answers_every_item_that_files_can_answer(whole):
     assert answered["metrics_score_percent"] == round(100 * earned / sum(weights.values()), 1)
 
 
-def test_an_empty_folder_answers_nothing(tmp_path):
+def test_an_empty_folder_answers_no_item_of_the_checklist(tmp_path):
     items = fill_checklist(tmp_path, load_reporting_guidelines())["items"]
     assert not [item for item in items if item["status"] == "yes"]
     (no,) = [item for item in items if (item["guideline"], item["id"]) == ("CLEAR", "40")]
@@ -207,8 +207,8 @@ CONTENT = [
     (
         "TRIPOD+AI",
         "13",
-        "report.html All grades have the same weight in fitting",
-        remove_words("All grades have the same weight in fitting"),
+        "report.html All grades have the same weight in model fitting",
+        remove_words("All grades have the same weight in model fitting"),
     ),
     ("CLEAR", "14", "cohort/manifest.csv sha256 unique", set_values("cohort/manifest.csv", sha256="a")),
     ("CLEAR", "35", "tuning.csv value", set_values("tuning.csv", value="")),
@@ -216,8 +216,8 @@ CONTENT = [
     (
         "CLEAR",
         "37",
-        "report.html No model is selected by its result",
-        remove_words("No model is selected by its result"),
+        "report.html No model is selected by its test result",
+        remove_words("No model is selected by its test result"),
     ),
     ("CLEAR", "34", "models/*.skops", rename_models),
 ]
@@ -256,7 +256,7 @@ def test_a_table_without_rows_meets_no_condition(tmp_path):
         ("a unlike", "1,2", False),
     ],
 )
-def test_a_condition_holds_for_every_row_that_is_not_exempt(tmp_path, condition, rows, is_met):
+def test_a_checklist_condition_applies_to_all_rows_that_are_not_exempt(tmp_path, condition, rows, is_met):
     (tmp_path / "some.csv").write_text(f"a,b\n{rows}\n")
     assert (find_unmet_condition(tmp_path, f"some.csv {condition}") == "") == is_met
 

@@ -1,4 +1,4 @@
-"""Check the plan of response curves: the same knees along the axes of a protocol."""
+"""Check the plan of response curves, in which the same knees are imaged at every step of a protocol axis."""
 
 import dataclasses
 
@@ -12,7 +12,7 @@ PLAN = plan_cohort("quick", seed=3, overrides={"knees": [3, 1, 3], "protocols": 
 
 
 def list_changed_fields(one, other) -> set[str]:
-    """Return the names of the fields that differ."""
+    """Return the names of fields in which two protocols differ."""
     return {field.name for field in dataclasses.fields(one) if getattr(one, field.name) != getattr(other, field.name)}
 
 
@@ -35,12 +35,12 @@ def test_an_axis_keeps_dose_geometry_and_field_of_view():
     assert far.mas / far.sdd_mm**2 == pytest.approx(known.mas / known.sdd_mm**2, rel=1e-4)
     coarse = PROTOCOL_AXES["pixel_size"].vary(known, 2.0)
     assert coarse.rows * coarse.pixel_mm == pytest.approx(known.rows * known.pixel_mm)
-    # The 15 % rule: 15 % more kV halves the mAs.
+    # By the 15 % rule, a tube voltage that is 15 % higher halves the mAs.
     harder = PROTOCOL_AXES["kv"].coupled_fields(known, 1.15 * known.tube_kv)
     assert harder["mas"] == pytest.approx(known.mas / 2, rel=1e-4)
 
 
-def test_a_plan_repeats_its_knees_at_every_step_with_independent_noise():
+def test_a_plan_uses_the_same_knees_at_every_step_with_independent_noise():
     plan = plan_response_curves(PLAN, knees=4, reference="reference")
     assert sorted(case.knee.grade for case in plan.cases) == [0, 0, 2, 2]
     known = {case.index: case.knee for case in PLAN.cases}

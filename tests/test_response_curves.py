@@ -1,4 +1,4 @@
-"""Response curves of synthetic cohorts with a known answer at every step."""
+"""Check response curves of synthetic cohorts with known results at every step."""
 
 import numpy as np
 import pandas as pd
@@ -29,7 +29,7 @@ def find_step_value(axis: str, turn: int) -> float:
 def make_cohort(
     seed: int = 0, subjects: int = 80, curved: int = 32, noise: float = 0.25
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Make a cohort of grades 0 and 2, and some of its knees at every dose with noise of variance 1/dose."""
+    """Make a cohort of grades 0 and 2, and repeat some knees at every dose with noise of variance 1/dose."""
     rng = np.random.default_rng(seed)
     grade = 2 * (np.arange(subjects) % 2)
     base = pd.DataFrame({"knee": range(subjects), "subject": range(subjects), "grade": grade})
@@ -107,12 +107,12 @@ def test_bootstrap_subjects_are_the_same_at_every_step():
     for turn in range(1, 8):
         unchanged = [np.array_equal(table["dose", turn], every["dose", turn]) for table in (one, other)]
         assert unchanged == [turn != 1, turn != 2]
-    # Without one of 32 knees the ICC of a sample hardly changes; with other subjects it would be unrelated.
+    # Omitting one of 32 knees hardly changes the ICC of a bootstrap sample; other subjects would change it strongly.
     for table, turn in ((one, 1), (other, 2)):
         assert np.corrcoef(table["dose", turn][1:], every["dose", turn][1:])[0, 1] > 0.9
 
 
-def test_noise_reduces_the_auc_and_the_shift_moves_the_threshold(curves):
+def test_noise_reduces_the_auc_and_a_shift_changes_the_threshold(curves):
     table = curves[1]
     auc, odds = (
         select_curve(table, response_curve_statistics.AUC)["value"],
@@ -129,7 +129,7 @@ def test_the_breakpoint_of_a_conclusion_has_an_interval(curves):
     breaks = breakpoints.find_breakpoints(*curves, DOSE, 0.05).set_index("conclusion")
     assert set(breaks["side"]) == {"below"}
     stable = breaks.loc[breakpoints.STABILITY_CONCLUSION]
-    # The median of three features is the noisy one without a trend: ICC = 1/(1 + noise variance/2) = 0.9.
+    # The median of three features is the noisy feature without trend; its ICC is 0.9 at the true breakpoint.
     assert stable["low"] <= stable["value"] <= stable["high"]
     assert stable["low"] < 0.25**2 / (2 * (1 / 0.9 - 1)) < stable["high"]
     auc = breaks.loc["AUC falls by at most 0.05"]
@@ -138,7 +138,7 @@ def test_the_breakpoint_of_a_conclusion_has_an_interval(curves):
     assert auc["result"].startswith("below 0.")
 
 
-def test_a_conclusion_that_always_holds_has_no_breakpoint():
+def test_a_conclusion_that_holds_at_every_step_has_no_breakpoint():
     base, steps = make_cohort(noise=1e-6)
     steps["glcm_signal"] = np.tile(base["glcm_signal"].iloc[:32], 7)
     feature_curves = response_curve_statistics.compute_feature_curves(
@@ -195,7 +195,7 @@ def test_a_loss_is_undecided_with_too_few_test_subjects_of_a_class(curves):
     assert breaks.loc[breakpoints.STABILITY_CONCLUSION, "result"] != "not decidable"
 
 
-def test_test_subjects_have_curves_and_are_not_in_training():
+def test_all_test_subjects_have_response_curves_and_none_is_in_training():
     base, steps = make_cohort()
     curved = sorted(set(steps["subject"]))
     halves = split_curve_subjects(base, curved, 0, 3)
@@ -207,7 +207,7 @@ def test_test_subjects_have_curves_and_are_not_in_training():
 
 
 def test_auc_intervals_have_nominal_coverage_for_repeated_halves():
-    """A marker without training has a known AUC; random are the knees with curves and the test subjects."""
+    """Use a marker without training and with known AUC; curve knees and test subjects are selected at random."""
     distance, cohorts, rng = 1.5, 200, np.random.default_rng(0)
     truth, held, held_by_trained = norm.cdf(distance / np.sqrt(2)), 0, 0
     base = pd.DataFrame({"subject": range(100), "grade": 2 * (np.arange(100) % 2)})
@@ -234,7 +234,7 @@ def test_auc_intervals_have_nominal_coverage_for_repeated_halves():
 
 
 def simulate_breakpoint(cohort: int, curved: int, distance: float, noise: float, difference: float) -> pd.Series:
-    """Estimate the breakpoint of an AUC along the dose in one cohort of 100, with a marker without training."""
+    """Estimate the breakpoint of an AUC along the dose axis in a cohort of 100, for a marker without training."""
     rng, positive = np.random.default_rng([1, cohort]), np.arange(100) % 2 == 1
     base = pd.DataFrame({"subject": range(100), "grade": 2 * positive})
     marker = rng.normal(size=100) + distance * positive
@@ -261,7 +261,7 @@ def simulate_breakpoint(cohort: int, curved: int, distance: float, noise: float,
 def count_covering_intervals(
     cohorts: int, curved: int, distance: float, noise: float, difference: float
 ) -> tuple[int, int]:
-    """Count the cohorts whose interval contains the true breakpoint of the AUC, and those whose does not."""
+    """Count cohorts whose interval contains the true breakpoint of the AUC, and cohorts whose interval misses it."""
 
     def compute_margin(log_dose: float) -> float:
         lost = norm.cdf(distance / np.sqrt(2)) - norm.cdf(distance / np.sqrt(2 * (1 + noise**2 / np.exp(log_dose))))
@@ -284,7 +284,7 @@ def test_breakpoint_intervals_of_an_auc_have_nominal_coverage():
     ("curved", "distance", "noise", "difference"),
     [(24, 1.5, 0.5, 0.05), (24, 2.4, 0.5, 0.05), (24, 1.5, 0.2236, 0.05), (48, 1.5, 0.5, 0.05), (24, 1.5, 0.5, 0.1)],
 )
-def test_breakpoint_intervals_cover_for_few_and_many_knees(curved, distance, noise, difference):
+def test_breakpoint_intervals_have_coverage_for_few_and_many_knees(curved, distance, noise, difference):
     held, missed = count_covering_intervals(300, curved, distance, noise, difference)
     assert held + missed > 200
     assert held >= binom.ppf(0.001, held + missed, 0.95)
@@ -294,11 +294,11 @@ def test_breakpoint_intervals_cover_for_few_and_many_knees(curved, distance, noi
     ("margin", "crossing"),
     [([1, 1, 1], -np.inf), ([1, -1, -1], 1.5), ([1, 1, -3], 0.75), ([-1, 1, 1], 2.0), ([1, np.nan, -1], 2.0)],
 )
-def test_the_first_crossing_along_the_steps_is_found(margin, crossing):
+def test_the_first_crossing_along_the_steps_is_detected(margin, crossing):
     assert response_curve_statistics.find_first_crossing(np.array([2.0, 1.0, 0.0]), np.array(margin, float)) == crossing
 
 
-def test_steps_are_ordered_on_both_sides_of_the_protocol_value():
+def test_steps_are_ordered_outwards_from_the_protocol_value():
     assert breakpoints._order_steps(PROTOCOL_AXES["tilt"]) == {"below": [4, 3, 2, 1], "above": [4, 5, 6, 7]}
     assert list(breakpoints._order_steps(PROTOCOL_AXES["dose"])) == ["below"]
     assert list(breakpoints._order_steps(PROTOCOL_AXES["scatter"])) == ["above"]

@@ -14,7 +14,7 @@ def test_the_growth_exponent_of_a_power_law_is_recovered(exponent, each, count):
     assert fit_growth_exponent(list(each * np.arange(1, count + 1) ** exponent)) == pytest.approx(exponent, rel=1e-6)
 
 
-def test_a_fixed_start_up_time_lowers_the_exponent_of_short_runs():
+def test_a_constant_start_up_time_lowers_the_exponent_of_short_runs():
     few, many = (fit_growth_exponent(list(5 + 1.0 * np.arange(1, count + 1))) for count in (12, 2000))
     assert few < 0.8
     assert 0.97 < many < 1
@@ -24,7 +24,7 @@ def test_seven_time_marks_give_no_growth_exponent():
     assert fit_growth_exponent([1.0] * 7) is None
 
 
-def test_a_cost_row_lists_seconds_in_total_and_per_item():
+def test_a_cost_row_lists_seconds_in_total_and_for_each_item():
     timer = Timer()
     for name, count in (("cohort", 4), ("claims", 0)):
         with timer.stage(name, "radiographs" if count else "") as stage:

@@ -46,9 +46,9 @@ def test_a_sampled_acquisition_is_valid_and_reproducible(seed, name):
     assert sampled.tube_kv == round(sampled.tube_kv)
 
 
-def test_sampled_acquisitions_have_the_spread_of_the_table():
+def test_sampled_acquisitions_have_the_tabulated_spread():
     table, sampled = load_acquisition_variability(), [sample_protocol(seed) for seed in range(1500)]
-    # Truncation at two standard deviations reduces the SD of a normal distribution to 0.88 of its value.
+    # Truncating a normal distribution at two standard deviations reduces the SD to 0.88 of the original.
     for name, sd in table.spread.items():
         values = np.array([getattr(protocol, name) for protocol in sampled])
         assert_allclose(values.mean(), getattr(FIXED_FLEXION, name), atol=4 * sd / np.sqrt(len(sampled)))
@@ -58,7 +58,7 @@ def test_sampled_acquisitions_have_the_spread_of_the_table():
     assert_allclose(np.mean([protocol.marker == "R" for protocol in sampled]), table.marker.share, atol=0.04)
 
 
-def test_the_side_marker_matches_the_side():
+def test_the_side_marker_agrees_with_the_side_of_the_knee():
     assert {sample_protocol(seed, side="left").marker for seed in range(30)} == {"L", "none"}
     assert {sample_protocol(seed, side=None).marker for seed in range(30)} == {"none"}
 
@@ -83,12 +83,12 @@ def test_moving_the_central_ray_moves_the_knee_in_the_image(built, radiograph):
     moved = np.subtract(shifted.truth.landmarks_px["joint_centre"], radiograph.truth.landmarks_px["joint_centre"])
     scale = COARSE.sdd_mm / (COARSE.sod_mm * np.cos(np.deg2rad(COARSE.beam_angle_deg))) / COARSE.pixel_mm
     assert_allclose(moved, [-20.0 * scale, -12.0 * scale], rtol=0.04)
-    # The joint space label depends on the central ray of the radiograph.
+    # Moving the central ray changes the projection, and thus the joint space label, slightly.
     assert shifted.truth.jsw_medial_mm == pytest.approx(radiograph.truth.jsw_medial_mm, abs=0.4)
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_a_tilted_leg_is_tilted_in_the_image_and_keeps_its_joint_space(side):
+def test_a_tilted_leg_appears_tilted_in_the_image_with_the_same_jsw(side):
     knee = pssf.Knee(side=side)
     straight, tilted = (
         pssf.build(knee, dataclasses.replace(COARSE, tilt_deg=degrees)).truth(
@@ -102,7 +102,7 @@ def test_a_tilted_leg_is_tilted_in_the_image_and_keeps_its_joint_space(side):
         row, col = medial - lateral
         return np.degrees(np.arctan2(row, abs(col)))
 
-    # The foot moves medially, so that the medial end of the plateau rises.
+    # The foot moves medially, which raises the medial end of the plateau.
     assert slope(tilted) - slope(straight) == pytest.approx(-6.0, abs=0.3)
     assert tilted.jsw_medial_mm == pytest.approx(straight.jsw_medial_mm, abs=0.02)
 
@@ -119,7 +119,7 @@ def test_a_collimator_blocks_the_outer_beam_and_reduces_scatter(built, radiograp
     assert (found.kept["scatter"][within] <= radiograph.kept["scatter"][within] * (1 + 1e-4)).all()
 
 
-def test_the_penumbra_of_the_field_has_the_width_of_the_focal_spot_shadow():
+def test_the_penumbra_of_the_field_has_the_width_of_the_focal_spot_blur():
     protocol = dataclasses.replace(COARSE, cols=2000, pixel_mm=0.05, field_width_mm=60.0, focal_spot_mm=1.2)
     row = compute_collimator_transmission(resolve_technique(protocol))[100]
     wide = ((row > 0.02) & (row < 0.98)).sum() / 2 * 0.05 / 0.96
@@ -150,7 +150,7 @@ def test_a_lead_marker_is_only_in_the_upper_corner_of_the_field(built, radiograp
         assert np.abs(marked - plain)[128:].max() < 60
 
 
-def test_the_truth_lists_the_sampled_acquisition():
+def test_the_truth_labels_contain_the_sampled_acquisition():
     knee = pssf.Knee(flexion_deg=3.0, rotation_deg=-2.0, lean_deg=1.5)
     protocol = pssf.sample_acquisition(COARSE, rng=np.random.default_rng(5), side="right")
     acquisition = pssf.build(knee, protocol).truth(protocol).acquisition

@@ -52,12 +52,12 @@ def test_tifffile_and_pillow_read_the_pixels_of_a_tiff(radiograph, tmp_path):
         assert (np.asarray(image) == radiograph.pixels).all()
 
 
-def test_the_same_radiograph_gives_the_same_file(radiograph, tmp_path):
+def test_saving_the_same_radiograph_twice_gives_identical_files(radiograph, tmp_path):
     one, two = (pssf.save(radiograph, tmp_path / f"{k}.tif").read_bytes() for k in "ab")
     assert one == two
 
 
-def test_a_png_has_8_bits_and_the_same_size(radiograph, tmp_path):
+def test_an_exported_png_has_8_bits_and_the_size_of_the_radiograph(radiograph, tmp_path):
     with Image.open(pssf.save(radiograph, tmp_path / "knee.png")) as image:
         assert (image.mode, image.size) == ("L", (256, 256))
 
@@ -106,7 +106,7 @@ def test_a_full_disk_during_a_dicom_write_gives_a_one_line_error(radiograph, tmp
     assert not list(tmp_path.iterdir())
 
 
-def test_only_temporary_files_of_killed_writers_are_deleted(tmp_path):
+def test_only_temporary_files_of_terminated_writers_are_deleted(tmp_path):
     (tmp_path / ".pssf-dead-abcd1234.tif").write_bytes(b"half")
     for name in (".hidden", "knee.png"):
         (tmp_path / name).write_bytes(b"mine")
@@ -118,7 +118,7 @@ def test_only_temporary_files_of_killed_writers_are_deleted(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == [".hidden", "knee.png", "knee.tif"]
 
 
-def test_a_writer_restarts_when_its_unlocked_file_was_deleted(tmp_path, monkeypatch):
+def test_a_writer_starts_again_if_its_unlocked_file_was_deleted(tmp_path, monkeypatch):
     lock, deleted = atomic_write.fcntl.flock, []
 
     def lock_late(handle, mode):
@@ -130,9 +130,7 @@ def test_a_writer_restarts_when_its_unlocked_file_was_deleted(tmp_path, monkeypa
     monkeypatch.setattr(atomic_write.fcntl, "flock", lock_late)
     with atomic_write.replace_file(tmp_path / "knee.tif") as temporary:
         temporary.write_bytes(b"whole")
-        atomic_write.delete_stale_temporary_files(
-            tmp_path
-        )  # a file that was written without the lock would be deleted here
+        atomic_write.delete_stale_temporary_files(tmp_path)  # would delete a file that is written without the lock
     assert len(deleted) == 1
     assert [p.name for p in tmp_path.iterdir()] == ["knee.tif"]
 
@@ -237,7 +235,7 @@ def test_a_3mf_assembly_lists_inner_objects_after_outer_ones(model):
         assert parts.index(outer) < parts.index(inner)
 
 
-def test_bodies_that_touch_at_an_edge_become_a_3mf_surface(tmp_path):
+def test_bodies_that_touch_at_an_edge_have_the_3mf_type_surface(tmp_path):
     cubes = [trimesh.creation.box(extents=(10, 10, 10)).apply_translation((k, k, 0)) for k in (0, 10)]
     mesh = trimesh.util.concatenate(cubes)
     mesh.merge_vertices()
@@ -294,13 +292,13 @@ def test_an_exported_scene_gives_the_same_path_lengths(scene, small, tmp_path):
         for s in scene.surfaces
     ])  # fmt: skip
     one, two = (pssf.trace(s, small, engine="scanline").path_mm["cortical_bone"] for s in (scene, again))
-    # STL rounds corners to float32, which moves outlines by microns.
+    # STL files store vertices in float32, which shifts outlines by micrometres.
     assert abs(one - two).max() < 0.2
     assert abs(one - two).mean() < 1e-4
 
 
 @pytest.mark.parametrize("content", [None, b"not a mesh"])
-def test_a_file_that_is_no_mesh_is_rejected(tmp_path, content):
+def test_a_file_that_is_not_a_mesh_is_rejected(tmp_path, content):
     path = tmp_path / "bone.stl"
     if content:
         path.write_bytes(content)
@@ -313,7 +311,7 @@ def test_an_unknown_mesh_format_is_rejected(scene, tmp_path):
         pssf.export_meshes(scene, tmp_path, formats=("obj3",))
 
 
-def test_the_error_for_another_cohort_names_the_difference(tmp_path):
+def test_the_error_for_a_cohort_with_other_settings_names_the_difference(tmp_path):
     cohort_records.claim_folder(tmp_path / "cohort.json", {"seed": 1, "knees": [{"a": 1}, {"a": 2}]})
     cohort_records.claim_folder(tmp_path / "cohort.json", {"seed": 1, "knees": [{"a": 1}, {"a": 2}]})
     with pytest.raises(pssf.InputError, match=r"knees\[1\].a = 2, requested 3"):
@@ -344,18 +342,18 @@ def test_file_names_up_to_255_bytes_are_written(radiograph, tmp_path):
 
 @pytest.mark.parametrize("path", [None, b"x.tif", "a\0b.tif", 3])
 def test_an_invalid_path_is_rejected(radiograph, path):
-    with pytest.raises(pssf.InputError, match="must be text or a Path, without a null byte"):
+    with pytest.raises(pssf.InputError, match="must be text or a Path without null bytes"):
         pssf.save(radiograph, path)
 
 
-def test_an_object_that_is_no_radiograph_is_not_saved(tmp_path):
-    with pytest.raises(pssf.InputError, match="radiograph must be a Radiograph, as simulate returns it, got 3"):
+def test_an_object_that_is_not_a_radiograph_is_not_saved(tmp_path):
+    with pytest.raises(pssf.InputError, match="radiograph must be a Radiograph, as returned by simulate, got 3"):
         pssf.save(3, tmp_path / "x.tif")
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no file modes")
 @pytest.mark.parametrize("umask", [0o077, 0o022, 0o002])
-def test_a_new_file_has_the_mode_of_the_umask(tmp_path, umask):
+def test_a_new_file_has_the_permissions_of_the_umask(tmp_path, umask):
     before = os.umask(umask)
     try:
         atomic_write.write_bytes(tmp_path / "new.csv", b"a")
@@ -367,7 +365,7 @@ def test_a_new_file_has_the_mode_of_the_umask(tmp_path, umask):
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no file modes")
 @pytest.mark.parametrize("mode", [0o600, 0o640, 0o664, 0o444])
-def test_a_replaced_file_keeps_its_mode(tmp_path, mode):
+def test_a_replaced_file_has_the_same_permissions_as_before(tmp_path, mode):
     path = tmp_path / "table.csv"
     path.write_bytes(b"before")
     path.chmod(mode)

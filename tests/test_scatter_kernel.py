@@ -1,4 +1,4 @@
-"""Scatter kernel against Monte Carlo, its air gaps, and its range of validity."""
+"""Check the scatter kernel: agreement with Monte Carlo, air gaps and range of validity."""
 
 import dataclasses
 import warnings
@@ -31,7 +31,7 @@ from pssf.xray.spectrum import compute_beam
 
 
 def compute_scatter(scene, protocol, gap_mm=None):
-    """Compute scatter and primary of a scene, and the open beam, in keV per pixel."""
+    """Compute scatter, primary and open-beam signal of a scene, in keV per pixel."""
     technique = resolve_technique(protocol)
     beam = compute_beam(technique)
     paths = pssf.trace(scene, protocol).path_mm
@@ -45,7 +45,7 @@ def compute_scatter(scene, protocol, gap_mm=None):
 
 
 def test_the_kernel_agrees_with_the_monte_carlo_within_5_percent():
-    # These cases were not used in the fit; the whole table is in pssf.validation.imaging.scatter_phantoms.
+    # These cases are not used in the fit; pssf.validation.imaging.scatter_phantoms has the complete table.
     cases = (("knee", 70, 130, 80), ("limb", 75, 110, 100), ("fixed_flexion", 75, 120, 90))
     assert not set(cases) & {*FIT_CASES, *FIT_CASES_PA}
     for row in compare_kernel_with_monte_carlo(photons=1_500_000, cases=cases):
@@ -53,7 +53,7 @@ def test_the_kernel_agrees_with_the_monte_carlo_within_5_percent():
         assert abs(row["difference_percent"]) < 5 + 2 * row["error_percent"], row
 
 
-def test_check_cases_are_not_among_the_fitted_cases():
+def test_check_cases_are_not_used_to_fit_the_kernel():
     assert not {*FIT_CASES, *FIT_CASES_PA} & {*CHECK_CASES, *CHECK_CASES_PA}
     assert {kind for kind, *_ in CHECK_CASES} >= {"knee", "limb", "bent knee"}
 
@@ -125,16 +125,16 @@ def test_a_mirrored_scene_has_mirrored_scatter():
     assert_allclose(one, other[:, ::-1], rtol=1e-3)
 
 
-def test_the_central_air_gap_is_that_behind_the_middle_of_the_object(scene):
+def test_the_central_air_gap_is_measured_behind_the_middle_of_the_object(scene):
     protocol = pssf.load_protocol("reference")
     view = resolve_view(protocol)
     assert central_air_gap_mm(compute_air_gaps_mm(build_slab(120.0), view)) == pytest.approx(200 - 60, abs=1e-6)
     assert 140 < central_air_gap_mm(compute_air_gaps_mm(build_limb(120.0), view)) < 145
-    # Calf and thigh extend further back than the knee and determine the bounding box.
+    # Calf and thigh extend further back than the knee, so the bounding box underestimates the gap.
     assert 3 < central_air_gap_mm(compute_air_gaps_mm(scene, view)) - (200 - scene.bounds_mm[1, 1]) < 60
 
 
-def test_the_air_gap_of_a_scene_outside_the_field_is_that_of_its_box():
+def test_a_scene_outside_the_field_has_the_air_gap_of_its_bounding_box():
     away = build_limb(120.0)
     meshes = [s.mesh.copy().apply_translation((2000.0, 0.0, 0.0)) for s in away.surfaces]
     moved = pssf.Scene([dataclasses.replace(s, mesh=m) for s, m in zip(away.surfaces, meshes, strict=True)])
@@ -155,7 +155,7 @@ def test_the_air_gap_behind_a_tilted_slab_varies_with_position():
     assert_allclose(gaps_mm[:, 16], (1 - fraction) * (view.centre_mm[1] - source[1]), atol=0.05)
 
 
-def test_a_constant_gap_map_equals_one_gap_and_a_tilted_one_differs():
+def test_a_constant_gap_map_is_equivalent_to_a_single_gap():
     scene, protocol = build_case(("limb", 70, 120, 60), load_tissues())
     one, *_ = compute_scatter(scene, protocol, 60.0)
     assert_allclose(compute_scatter(scene, protocol, np.full((32, 32), 60.0))[0], one, rtol=1e-6)
@@ -163,7 +163,7 @@ def test_a_constant_gap_map_equals_one_gap_and_a_tilted_one_differs():
     assert compute_scatter(scene, protocol, tilted_map)[0][128, 128] < 0.99 * one[128, 128]
 
 
-def test_a_fit_from_the_present_constants_does_not_increase_the_cost():
+def test_a_fit_from_the_current_constants_does_not_increase_the_cost():
     from tools import scatter_kernel_fit
 
     kernel = load_scatter_kernel()
@@ -203,7 +203,7 @@ def measure_scatter_ratio(side_mm, **fields):
 
 
 @pytest.mark.parametrize("cells", [2, 4, 8, 16])
-def test_a_small_detector_has_the_scatter_of_an_equal_collimated_field(cells):
+def test_a_small_detector_has_the_scatter_of_a_collimated_field(cells):
     side_mm = 9.6 * cells
     small, *_ = measure_scatter_ratio(side_mm)
     collimated, *_ = measure_scatter_ratio(307.2, field_width_mm=side_mm, field_height_mm=side_mm)

@@ -1,4 +1,4 @@
-"""Scenes and surfaces: bounds, size limits, validation and text."""
+"""Check scenes and surfaces: bounds, size limits, validation and text."""
 
 import dataclasses
 import warnings
@@ -39,7 +39,7 @@ def test_a_scene_without_surfaces_is_a_flat_field(engine, scatter, small):
     assert pssf.check(scene, protocol).ok
     radiograph = pssf.simulate(scene, protocol, engine=engine, keep=("primary", "path_mm"))
     assert radiograph.kept["path_mm"] == {}
-    # Without an edge only the inverse square law changes the signal, within rounding.
+    # Without a surface, only the inverse square law affects the signal.
     column = np.arange(32) - 15.5
     away_mm = np.hypot(*np.meshgrid(column, column)) * 9.6
     fall = (1 + (away_mm / protocol.sdd_mm) ** 2) ** -1.5
@@ -65,19 +65,19 @@ def test_the_bounding_box_of_a_scene_ignores_unused_vertices():
     [
         (0.1, "if the mesh is in metres"),
         (4.9, "if the mesh is in centimetres"),
-        (0.002, "it must be 5 to 3000 mm; or"),
+        (0.002, "the extent must be 5 to 3000 mm; or"),
         (1e5, r"if the mesh is in micrometres, use mesh.apply_scale\(0.001\)"),
-        (1e-9, "it must be 5 to 3000 mm; or"),
+        (1e-9, "the extent must be 5 to 3000 mm; or"),
     ],
 )
-def test_a_scene_size_of_another_unit_raises_an_error_with_a_hint(across_mm, hint):
+def test_the_error_for_a_scene_in_other_units_contains_a_hint(across_mm, hint):
     scene = make_scene(trimesh.creation.box(extents=3 * [across_mm]))
     with pytest.raises(InputError, match=rf"scene is .* mm across; .*{hint}"):
         trace(scene, VIEW)
 
 
 @pytest.mark.parametrize("across_mm", [0.1, 4000.0])
-def test_an_explicitly_allowed_size_is_traced(across_mm):
+def test_an_explicitly_allowed_scene_size_is_traced(across_mm):
     scene = make_scene(trimesh.creation.box(extents=3 * [across_mm]), size_mm=(0.0, np.inf))
     assert trace(scene, VIEW, precision="float64").audit.unrepaired == 0
 
@@ -90,7 +90,7 @@ def test_a_scene_of_extreme_size_raises_an_error_without_overflow(across_mm, siz
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         (line,) = str(check(scene)).splitlines()
-    assert line.startswith(f"error: scene: scene is {across_mm:.4g} mm across; it must be ")
+    assert line.startswith(f"error: scene: scene is {across_mm:.4g} mm across; the extent must be ")
     with pytest.raises(InputError, match="mm across"):
         trace(scene, VIEW)
 
@@ -108,17 +108,20 @@ def test_very_small_and_large_scenes_are_traced_if_allowed(across_mm):
 def test_a_scene_far_from_the_origin_raises_an_error():
     box = trimesh.creation.box(extents=3 * [1000.0])
     scene = make_scene(trimesh.Trimesh(box.vertices + 1e18, box.faces, process=False))
-    assert str(check(scene)) == "error: scene: scene is 1e+18 mm from the origin; it must be within 1e+12 mm"
+    assert (
+        str(check(scene))
+        == "error: scene: scene extends 1e+18 mm from the origin; the distance must be at most 1e+12 mm"
+    )
 
 
 @pytest.mark.parametrize("size_mm", [5.0, None, (5.0,), (5.0, 1.0), (-1.0, 5.0), (0.0, np.nan), ("5", "9"), "59"])
-def test_an_invalid_size_range_raises_an_error(size_mm):
+def test_an_invalid_scene_size_range_raises_an_error(size_mm):
     with pytest.raises(InputError, match="scene: size_mm"):
         make_scene(trimesh.creation.box(), size_mm=size_mm)
 
 
 @pytest.mark.parametrize("surfaces", [None, 3, trimesh.creation.box(), [trimesh.creation.box()], "box"])
-def test_a_scene_of_other_objects_than_surfaces_raises_an_error(surfaces):
+def test_a_scene_of_objects_that_are_not_surfaces_raises_an_error(surfaces):
     with pytest.raises(InputError, match=r"scene: .* must be a .*, got "):
         Scene(surfaces)
 
@@ -136,7 +139,7 @@ def test_only_scenes_and_objects_with_a_scene_are_accepted():
             check(thing)
 
 
-def test_scenes_and_surfaces_compare_and_print_without_their_arrays():
+def test_scenes_and_surfaces_are_compared_and_printed_without_arrays():
     waves = PlaneWaves(amplitudes=(0.1,) * 500, waves_per_mm=((1.0, 2.0, 3.0),) * 500, phases=(0.0,) * 500)
     box = trimesh.creation.box(extents=3 * [10])
     surface = Surface(box, "water", "air", "thing", inside_density=waves)
@@ -148,7 +151,7 @@ def test_scenes_and_surfaces_compare_and_print_without_their_arrays():
     assert Scene([surface]) != Scene([surface])
 
 
-def test_the_table_of_a_scene_changes_with_all_that_affects_an_image():
+def test_the_scene_table_changes_with_everything_that_affects_an_image():
     def make_table(size=10, inside="water", ambient="air", **more):
         return Scene(
             [Surface(trimesh.creation.box(extents=3 * [size]), inside, "air", "thing", **more)], ambient

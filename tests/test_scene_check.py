@@ -44,7 +44,7 @@ def test_a_default_knee_has_no_faults(protocol):
     assert str(report) == "no faults"
 
 
-def test_the_phantom_of_the_own_meshes_example_has_no_faults(monkeypatch, tmp_path):
+def test_the_phantom_in_the_example_with_user_meshes_has_no_faults(monkeypatch, tmp_path):
     scenes = []
 
     def record_scene(scene, protocol, **_):
@@ -58,7 +58,7 @@ def test_the_phantom_of_the_own_meshes_example_has_no_faults(monkeypatch, tmp_pa
     assert str(check(scenes[0])) == "no faults"
 
 
-def test_check_reports_the_same_errors_as_trace_raises():
+def test_check_reports_the_errors_that_trace_raises():
     open_mesh = trimesh.Trimesh(make_ball().vertices, make_ball().faces[1:], process=False)
     scene = Scene(
         [
@@ -122,7 +122,7 @@ def test_degenerate_faces_are_not_counted_as_extra_faces_of_an_edge():
     assert str(check(Scene([make_water_surface(pointed)]))) == line
 
 
-def test_reported_edges_use_the_vertex_numbers_of_the_users_mesh():
+def test_reported_edges_have_the_vertex_numbers_of_the_user_mesh():
     one, other = trimesh.creation.box(extents=3 * [10]), trimesh.creation.box(extents=3 * [10])
     other.apply_translation([10, 0, 10])
     joined = trimesh.util.concatenate([one, other])
@@ -143,16 +143,16 @@ def make_bone(name, x_mm):
     return Surface(make_ball(25.0, (x_mm, 0.0, 0.0)), "cortical_bone", "muscle", name)
 
 
-def test_check_reports_both_overlapping_bones_and_the_overlap_length():
+def test_check_reports_both_overlapping_bones_and_their_overlap_length():
     report = check(make_leg(make_bone("femur", 0.0), make_bone("tibia", 10.0)))
     assert report.ok
     lines = str(report).splitlines()
     assert len(lines) == 2
     for name, other in (("femur", "tibia"), ("tibia", "femur")):
         (line,) = [line for line in lines if line.startswith(f"warning: {name}: ")]
-        problem = f"outside is muscle, but cortical_bone ({other}) is there, over up to "
+        problem = f"outside is muscle, but rays find cortical_bone ({other}), over up to "
         assert problem in line
-        assert line.endswith(f"; it and {other} overlap")
+        assert line.endswith(f" and {other} overlap")
         # The intersection is a lens 2 sqrt(25^2 - 5^2) mm long; the polyhedra are slightly smaller than the spheres.
         assert 47.5 < float(line.split(problem)[1].split(" mm")[0]) < 49.0
     assert str(check(make_leg(make_bone("femur", -25.5), make_bone("tibia", 25.5)))) == "no faults"
@@ -162,7 +162,7 @@ def test_check_reports_a_screw_in_bone_that_is_declared_in_muscle():
     screw = trimesh.creation.cylinder(3.0, 30.0)
     (fault,) = check(make_leg(make_bone("femur", 0.0), Surface(screw, "Ti@4.51", "muscle", "screw"))).faults
     assert (fault.surface, fault.outcome) == ("screw", "warning")
-    assert fault.problem.startswith("outside is muscle, but cortical_bone (femur) is there, over up to 5.9")
+    assert fault.problem.startswith("outside is muscle, but rays find cortical_bone (femur), over up to 5.9")
     assert 100 < fault.count < 250
     right = make_leg(make_bone("femur", 0.0), Surface(screw, "Ti@4.51", "cortical_bone", "screw"))
     assert str(check(right)) == "no faults"
@@ -183,12 +183,13 @@ def test_check_and_trace_reject_a_surface_with_a_wrong_outside_material():
     assert not report.ok
     warning_line, error_line = str(report).splitlines()
     assert warning_line.startswith(
-        "warning: inner: outside is cortical_bone, but water (thing) is there, over up to 20 mm of a ray"
+        "warning: inner: outside is cortical_bone, but rays find water (thing), over up to 20 mm of a ray"
     )
     assert error_line.startswith("error: cortical_bone: path length is negative, down to -19.96 mm; number of rays")
-    assert "; inner: outside is cortical_bone, but water (thing) is there" in error_line
+    assert "; inner: outside is cortical_bone, but rays find water (thing)" in error_line
     with pytest.raises(
-        InputError, match=r"^cortical_bone: path length must be .*, got -.*: inner: outside is cortical_bone, but water"
+        InputError,
+        match=r"^cortical_bone: path length must be .*, got -.*: inner: outside is cortical_bone, but rays find water",
     ):
         trace(scene, PROTOCOL)
 
@@ -208,7 +209,7 @@ def test_check_accepts_a_folded_mesh_exactly_when_trace_does(depth_mm, engine, s
         assert simulate(scene, FINE, engine=engine, paths=paths).pixels.min() > 0
     else:
         with pytest.raises(
-            InputError, match=r"^cortical_bone: path length must be .*, got -.*: plate: its mesh overlaps itself or is"
+            InputError, match=r"^cortical_bone: path length must be .*, got -.*: plate: mesh overlaps itself or is"
         ):
             trace(scene, FINE, engine=engine)
 
@@ -216,15 +217,15 @@ def test_check_accepts_a_folded_mesh_exactly_when_trace_does(depth_mm, engine, s
 FINE = dataclasses.replace(load_protocol("reference"), rows=96, cols=96, pixel_mm=0.3)
 
 
-def test_check_with_a_protocol_reports_parts_that_no_ray_crosses():
+def test_check_with_a_protocol_reports_surfaces_that_no_ray_crosses():
     scene = Scene([
         make_water_surface(make_ball(at=(0.0, -1000.0, 0.0)), "behind"),
         make_water_surface(make_ball(at=(0.0, 190.0, 0.0)), "through"),
         make_water_surface(make_ball(at=(900.0, 0.0, 0.0)), "beside"),
     ])  # fmt: skip
     lines = str(check(scene, PROTOCOL)).splitlines()
-    assert "warning: behind: vertices behind the source: 642; no ray crosses that part" in lines
-    assert "warning: beside: covers no pixel; it is not in the image" in lines
+    assert "warning: behind: vertices behind the source: 642; no ray crosses them" in lines
+    assert "warning: beside: covers no pixel; surface is not in the image" in lines
     assert any(line.startswith("warning: through: vertices behind the detector: ") for line in lines)
     assert str(check(scene)) == "no faults"
     assert np.ptp(scene.bounds_mm, axis=0).max() < 3000

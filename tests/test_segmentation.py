@@ -1,4 +1,4 @@
-"""Segmentation accuracy of bone; subjects per feature; tuned parameters; description of image processing."""
+"""Check bone segmentation accuracy, subjects per feature, tuned parameters and the description of image processing."""
 
 import numpy as np
 import pandas as pd
@@ -22,7 +22,7 @@ def make_square_mask(top, left, side, size=40):
     return mask
 
 
-def test_a_mask_overlaps_itself_fully_and_distances_are_in_mm():
+def test_a_mask_overlaps_itself_completely_and_distances_are_in_mm():
     one = make_square_mask(10, 10, 12)
     assert compute_mask_overlap(one, one, 0.5) == {"dice": 1.0, "mean_mm": 0.0, "p95_mm": 0.0, "area": 1.0}
     moved = compute_mask_overlap(make_square_mask(10, 14, 12), one, 0.5)
@@ -34,7 +34,7 @@ def test_a_mask_overlaps_itself_fully_and_distances_are_in_mm():
     )
 
 
-def test_surface_distance_of_concentric_squares_is_their_margin():
+def test_the_distance_between_concentric_squares_is_their_margin():
     inner, outer = make_square_mask(12, 12, 10), make_square_mask(10, 10, 14)
     agreed = compute_mask_overlap(inner, outer, 1.0)
     assert agreed["area"] == pytest.approx(100 / 196)
@@ -42,7 +42,7 @@ def test_surface_distance_of_concentric_squares_is_their_margin():
     assert 2.0 <= agreed["mean_mm"] <= 2.0 * np.sqrt(2)
 
 
-def test_an_empty_mask_has_no_distance_and_image_borders_are_no_outline():
+def test_distances_ignore_empty_masks_and_image_borders():
     empty = np.zeros((40, 40), bool)
     assert compute_mask_overlap(empty, make_square_mask(1, 1, 5), 1.0)["dice"] == 0.0
     assert np.isnan(compute_mask_overlap(empty, make_square_mask(1, 1, 5), 1.0)["mean_mm"])
@@ -69,7 +69,7 @@ def make_radiographs(count=3):
     return pd.DataFrame(rows), pd.DataFrame({"radiograph": [f"r{k}" for k in range(count)], "masks": "m.tif"})
 
 
-def test_segmented_bone_is_compared_with_all_bones_of_the_region(tmp_path):
+def test_segmented_bone_is_compared_with_all_bones_in_the_region(tmp_path):
     two = {
         "femur": make_square_mask(30, 20, 30, 128) | make_square_mask(30, 50, 30, 128),
         "tibia": make_square_mask(60, 20, 60, 128),
@@ -94,10 +94,11 @@ def test_without_masks_there_is_no_segmentation_accuracy(tmp_path):
         assert make_segmentation_section(table) == []
 
 
-def test_subjects_per_feature_are_those_of_the_worst_split():
+def test_subjects_per_feature_are_reported_for_the_worst_split():
     usable = pd.DataFrame({"subject": range(30), "grade": [0, 1, 2] * 10})
     subjects = pd.DataFrame({"repeat": [0] * 30 + [1] * 30, "subject": [*range(30)] * 2, "part": "training"})
-    subjects.loc[:5, "part"] = "test"  # of split 0, two of each grade
+    # The test part of split 0 has two subjects of each grade.
+    subjects.loc[:5, "part"] = "test"
     arm = {"task": "0 vs 2", "trained_on": "reference", "selection": "l1"}
     kept = [arm | {"model": "lr", "repeat": repeat, "feature": f} for repeat, fs in ((0, "ab"), (1, "abc")) for f in fs]
     offered = [arm | {"repeat": repeat, "feature": f} for repeat in (0, 1) for f in "abcde"[: 4 + repeat]]

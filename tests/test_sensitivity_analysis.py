@@ -1,4 +1,4 @@
-"""Sensitivity analysis: samples and pairs of parameters, Sobol indices and slopes of known functions."""
+"""Check the sensitivity analysis: parameter samples and pairs, Sobol indices and slopes of known functions."""
 
 import dataclasses
 
@@ -22,7 +22,7 @@ def list_acquisitions(plan) -> dict[int, tuple]:
     return {e.repeat_index: (case.knee, e.protocol, e.seed) for case in plan.cases for e in case.exposures}
 
 
-def test_sobol_samples_span_the_parameter_bounds_of_the_cohort():
+def test_sobol_samples_cover_the_parameter_ranges_of_the_cohort():
     groups = {sensitivity_plan.PARAMETER_SPACE[name].group for name in BOUNDS}
     assert set(BOUNDS) == set(sensitivity_plan.PARAMETER_SPACE)
     points = sensitivity_plan.sample_parameters(BOUNDS, 40, 0)
@@ -86,7 +86,7 @@ def test_a_sensitivity_pair_differs_in_one_parameter_with_equal_noise():
             assert before.knee.texture_seed == after.knee.texture_seed
 
 
-def test_osteophytes_are_scaled_together_and_two_are_added_if_absent():
+def test_osteophytes_are_scaled_together_or_two_are_added():
     bare = sensitivity_plan.KneeAcquisition(Knee(), PLAN.cases[0].exposures[0].protocol, 0)
     grown = sensitivity_plan.PARAMETER_SPACE["largest_osteophyte_mm"].set_value(bare, 2.0)
     assert [one.size_mm for one in grown.knee.osteophytes] == [2.0, 2.0]
@@ -116,7 +116,7 @@ def test_sobol_indices_equal_those_of_known_functions():
     )
     assert set(table.index.get_level_values(0)) == {"sum", "product"}
     assert (table["samples"] == 511).all()
-    # The variances have the ratio 4 to 1; a product has no first-order effects.
+    # The two terms have variances in the ratio 4 to 1; the product has no first-order effects.
     assert table.loc[("sum", "joint space"), "first"] == pytest.approx(0.8, abs=0.05)
     assert table.loc[("sum", "beam"), "total"] == pytest.approx(0.2, abs=0.05)
     assert table.loc[("product", "beam"), "first"] == pytest.approx(0.0, abs=0.1)
@@ -126,7 +126,7 @@ def test_sobol_indices_equal_those_of_known_functions():
 
 
 def evaluate_known_functions(points: np.ndarray) -> tuple[pd.DataFrame, dict[tuple[str, str], tuple[float, float]]]:
-    """Evaluate functions of the points, one per column, with (function, group) -> first-order and total index."""
+    """Evaluate functions at the points; return their values, and (function, group) -> first-order and total index."""
     low, high = np.array(list(BOUNDS.values())).T
     unit = pd.DataFrame((points - low) / (high - low), columns=list(BOUNDS))
     of = {name: sensitivity_plan.PARAMETER_SPACE[name].group for name in BOUNDS}
@@ -155,7 +155,7 @@ def evaluate_known_functions(points: np.ndarray) -> tuple[pd.DataFrame, dict[tup
 def test_sobol_intervals_have_nominal_coverage_with_the_fewest_samples(
     monkeypatch, dropped, mean_coverage, least_coverage
 ):
-    """Up to half of the samples may be missing. (Points of a Sobol sequence cover 89 %, in some plans 72 %.)"""
+    """Check independent samples, of which up to half may be missing (Sobol sequences give 72 to 89 % coverage)."""
     monkeypatch.setattr(statistics, "_BOOTSTRAP_RESAMPLES", 100)
     coverage_by_plan = []
     for seed in range(12):

@@ -1,4 +1,4 @@
-"""Shape model of the bones: lattice fits, modes, their table and the shapes they produce."""
+"""Check the shape model: lattice fits, modes, shape table and resulting bones."""
 
 import dataclasses
 import tomllib
@@ -51,7 +51,7 @@ def form():
 
 
 def make_pebble(detail=4):
-    """Make a closed body without symmetry, about 50 mm long."""
+    """Make an asymmetric closed body about 50 mm long."""
     ball = trimesh.creation.icosphere(detail)
     x, y, z = ball.vertices.T
     radius = 20 + 4 * x * y + 3 * z**3 + 2.5 * x**2 - 2 * np.sin(3 * y)
@@ -59,7 +59,7 @@ def make_pebble(detail=4):
 
 
 def make_known_lattice(lattice, amount_mm, seed=0):
-    """Give a lattice known smooth displacements."""
+    """Return a copy of a lattice with known smooth displacements."""
     nodes = np.stack(np.meshgrid(*(np.linspace(-1, 1, n) for n in lattice.counts), indexing="ij"), axis=-1)
     waves = np.random.default_rng(seed).normal(0, 1.2, (3, 3))
     return replace_displacements(lattice, amount_mm * np.sin(nodes @ waves + [0.3, 1.0, -0.5]))
@@ -141,7 +141,7 @@ def test_shape_modes_recover_the_scores_that_generated_them():
     assert_allclose(modes.variance_fraction.sum(), 1.0, atol=1e-9)
     assert_allclose(modes.scores.mean(axis=0), 0.0, atol=1e-9)
     assert_allclose(modes.scores.std(axis=0, ddof=1), 1.0, rtol=1e-9)
-    # The recovered scores are in the same plane, rotated and scaled.
+    # The recovered scores equal the true scores except for rotation and scale.
     off = scores - scores.mean(axis=0)
     assert_allclose(modes.scores @ np.linalg.lstsq(modes.scores, off, rcond=None)[0], off, atol=1e-9)
     for name in BONES:
@@ -171,7 +171,7 @@ def test_modes_have_unique_names_and_increase_their_measure():
     assert named[1].other_measures == ""
 
 
-def test_a_written_shape_table_is_read_back():
+def test_a_written_shape_table_is_read_unchanged():
     mean = make_mean_fit()
     modes = compute_modes(make_two_mode_displacements(mean)[0], mean)
     names = [ModeName(name=name, correlation=0.5, other_measures="") for name in ("one", "two")]
@@ -226,7 +226,7 @@ def test_modes_are_sorted_have_unique_names_and_explain_99_percent(form):
     assert all(mode.correlation > 0 for mode in form.modes)
 
 
-def test_the_mean_shape_keeps_the_width_of_the_template_tibia(form):
+def test_the_mean_shape_has_the_tibial_width_of_the_template(form):
     built = build_template_bones(build_template_anatomy(load_anatomy_tables()))["tibia"].vertices
     formed = displace_points(built, form.bones["tibia"].mean)
     widths = [np.ptp(points[points[:, 2] > points[:, 2].max() - 25][:, 0]) for points in (built, formed)]
@@ -263,7 +263,7 @@ def test_a_shape_fit_without_patellae_raises_an_error():
         fit_mean({"femur": [make_pebble(2)], "tibia": [make_pebble(2)]}, load_anatomy_tables())
 
 
-def test_a_lattice_around_a_bone_covers_all_of_its_vertices():
+def test_a_lattice_around_a_bone_covers_all_vertices_of_the_bone():
     bone = make_deformable_bone(make_pebble(), EVERYWHERE)
     lattice = make_lattice_around(bone, 18.0, 0)
     uniform = replace_displacements(lattice, np.broadcast_to([1.0, 2.0, 3.0], lattice.displacements_mm.shape))

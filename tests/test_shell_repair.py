@@ -1,4 +1,4 @@
-"""Repair of nested shells: trabecular bone that crosses the cortex is moved inwards there and nowhere else."""
+"""Check the repair of nested shells: trabecular bone that crosses the cortex is moved inwards locally."""
 
 import numpy as np
 import pytest
@@ -27,7 +27,7 @@ def make_bone_with_folds(*positions_mm: tuple[float, float, float], size_mm: flo
 
 
 @pytest.mark.parametrize("positions_mm", [[LATERAL], [LATERAL, (0.0, -20.0, 0.0), (0.0, 0.0, 20.0)]])
-def test_a_fold_is_moved_inwards_where_it_is(positions_mm):
+def test_a_fold_of_the_inner_shell_is_moved_inwards_only_locally(positions_mm):
     bone = make_bone_with_folds(*positions_mm)
     assert not is_nested(bone)
     inner = repair_nesting("tibia", bone).inner
@@ -39,18 +39,18 @@ def test_a_fold_is_moved_inwards_where_it_is(positions_mm):
     assert_allclose(np.abs(extract_mesh(inner).vertices).max(), 20.0 - 0.1, atol=0.02)
 
 
-def test_nested_shells_are_not_changed():
+def test_correctly_nested_shells_are_not_changed():
     bone = Bone(outer=OUTER, inner=INNER)
     assert is_nested(bone)
     assert repair_nesting("tibia", bone) is bone
 
 
-def test_a_large_fold_cannot_be_repaired_and_raises_an_error():
+def test_a_fold_that_is_too_large_to_repair_raises_an_error():
     with pytest.raises(InputError, match=r"trabecular bone of the tibia must be inside the solid around it, got"):
         repair_nesting("tibia", make_bone_with_folds(LATERAL, size_mm=4.0))
 
 
-def test_overlapping_bones_and_shells_outside_raise_an_error():
+def test_overlapping_bones_and_protruding_shells_raise_an_error():
     bone, muscle = Bone(outer=OUTER, inner=INNER), Manifold.sphere(60.0, 48)
     check_nesting({"femur": bone}, muscle)
     near = Bone(outer=OUTER.translate((39.0, 0.0, 0.0)), inner=INNER.translate((39.0, 0.0, 0.0)))

@@ -1,4 +1,4 @@
-"""Edge pattern that distinguishes right from left knees: training, and the pattern of the package."""
+"""Check the edge pattern that distinguishes right from left knees: training, and the pattern of the package."""
 
 import tomllib
 
@@ -24,7 +24,7 @@ def test_side_weights_are_evaluated_on_held_out_knees(monkeypatch):
     weights, evidence = side_pattern_fit.train_side_pattern(200, 0, 1, TABLE)
     assert (weights.shape, evidence.shape) == (shape, (199,))
     assert np.corrcoef(weights.ravel(), usual.ravel())[0, 1] > 0.5
-    # Evidence is that of held-out knees: its mean is the unit, which is less than that of a fit to all.
+    # Evidence is normalised to a mean of 1 over held-out knees; a fit to all knees would give higher values.
     np.testing.assert_allclose(evidence.mean(), 1.0, rtol=1e-12)
     assert (weights * usual).sum() > 1.0
     table = tomllib.loads(side_pattern_fit.format_pattern_toml(weights, 199, 2))

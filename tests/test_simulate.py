@@ -1,4 +1,4 @@
-"""Simulation of a radiograph: reproducibility, kept images, errors, texture, scatter and noise."""
+"""Check the simulation of radiographs: reproducibility, stored images, errors, texture, scatter and noise."""
 
 import dataclasses
 import hashlib
@@ -48,7 +48,7 @@ def test_both_engines_give_the_same_noise_free_image(built, small):
     assert abs(one - two).max() <= 1
 
 
-def test_only_requested_images_are_kept(built, small):
+def test_only_requested_intermediate_images_are_stored(built, small):
     assert pssf.simulate(built, small).kept == {}
     wanted = ("path_mm", "primary", "scatter", "noise_free")
     kept = pssf.simulate(built, small, keep=wanted).kept
@@ -59,7 +59,7 @@ def test_only_requested_images_are_kept(built, small):
 
 @pytest.mark.parametrize("keep", [None, 3, "masks"])
 def test_keep_that_is_not_a_list_raises_an_error(built, small, keep):
-    with pytest.raises(pssf.InputError, match=r"keep must be a list of any of path_mm.*, got "):
+    with pytest.raises(pssf.InputError, match=r"keep must be a list with names from path_mm.*, got "):
         pssf.simulate(built, small, keep=keep)
 
 
@@ -69,7 +69,7 @@ def test_monochromatic_energy_may_be_an_integer(scene, small):
     assert (one.pixels == two.pixels).all()
 
 
-def test_an_unknown_name_in_keep_raises_an_error(built, small):
+def test_an_unknown_image_name_in_keep_raises_an_error(built, small):
     with pytest.raises(pssf.InputError, match=r"keep must be one of .*, got 'path'"):
         pssf.simulate(built, small, keep=("path",))
 
@@ -80,7 +80,7 @@ def test_no_ray_remains_unrepaired_under_any_protocol(built):
         assert pssf.simulate(built, protocol).audit["unrepaired"] == 0
 
 
-def test_truth_contains_labels_and_the_medial_joint_line(built, small):
+def test_truth_contains_labels_and_the_position_of_the_medial_joint_line(built, small):
     truth = pssf.simulate(built, small).truth
     assert (truth.jsw_medial_mm, truth.jsw_lateral_mm) == pytest.approx((3.1, 5.0), abs=1e-3)
     assert truth.grade == 2
@@ -168,7 +168,7 @@ def test_parameters_may_be_numpy_numbers(small, tmp_path):
     assert (back.knee, back.seed, back.protocol.rows) == (knee, 5, 64)
 
 
-def test_no_texture_is_integrated_if_the_protocol_disables_it(built, small, monkeypatch):
+def test_no_texture_is_computed_if_the_protocol_disables_texture(built, small, monkeypatch):
     textured = pssf.simulate(built, small, engine="scanline", keep=("path_mm",))
 
     def integrate(*_):
@@ -184,7 +184,7 @@ def test_no_texture_is_integrated_if_the_protocol_disables_it(built, small, monk
     assert_array_equal(*(image.kept["path_mm"]["cortical_bone"] for image in (textured, plain)))
 
 
-def test_another_texture_seed_changes_only_pixels_of_bone(knee, small):
+def test_a_new_texture_seed_changes_only_pixels_of_bone(knee, small):
     still = dataclasses.replace(small, noise="none", scatter="none", focal_spot_mm=0.0, detector_blur="none")
     # The limb is thick enough for the patella, whose position depends on the roughness of the femur.
     roomy = dataclasses.replace(knee, limb_ap_mm=140.0)
@@ -197,7 +197,7 @@ def test_another_texture_seed_changes_only_pixels_of_bone(knee, small):
     assert (images[0].pixels[trabecular] != images[1].pixels[trabecular]).mean() > 0.5
     one, two = (image.kept["path_mm"] for image in images)
     near = binary_dilation(bone, iterations=2)
-    # Cortical unevenness and roughness use the same seed; soft tissue adapts by the same small amount.
+    # Cortical unevenness and roughness also depend on the seed; soft tissue adapts to the rougher bone surface.
     for material in set(one) - {"trabecular_bone", "cortical_bone"}:
         difference = np.abs(one[material] - two[material])[~near]
         assert np.quantile(difference, 0.99) < 2.0
@@ -207,8 +207,8 @@ def test_another_texture_seed_changes_only_pixels_of_bone(knee, small):
     assert np.median(np.abs(outside[0] / outside[1] - 1)) < RELATIVE_TOLERANCE
 
 
-def test_a_sampled_focal_spot_blurs_by_depth(small):
-    # Two plates each cover half of the image, one near the detector and one far from it.
+def test_a_sampled_focal_spot_causes_depth_dependent_blur(small):
+    # Each of two plates covers half of the image; one plate is near the detector, the other far from it.
     widths = []
     for y_mm in (-100.0, 60.0):
         plate = trimesh.creation.box((40.0, 1.0, 80.0)).apply_translation((20.0, y_mm, 0.0))
@@ -221,7 +221,7 @@ def test_a_sampled_focal_spot_blurs_by_depth(small):
         fraction = (kev - kev.min()) / np.ptp(kev)
         inside = (fraction > 0.01) & (fraction < 0.99)
         widths.append(inside.sum() * fine.pixel_mm)
-    # Three points give steps at 0.11 and 0.89 of the penumbra a (m - 1); the width between them is measured.
+    # Three focal points cause edges at 0.11 and 0.89 of the penumbra a (m - 1); their distance is measured.
     for width, y_mm in zip(widths, (-100.0, 60.0), strict=True):
         penumbra = 1.2 * (1150.0 / (950.0 + y_mm) - 1)
         assert width == pytest.approx(np.sqrt(0.6) * penumbra, abs=0.07)
@@ -235,7 +235,7 @@ def test_monte_carlo_scatter_agrees_with_the_kernel(built, small):
     fast = pssf.simulate(built, small, keep=("scatter",))
     middle = np.s_[96:160, 104:152]
     assert 0.005 < one.kept["scatter_error"] < 0.1
-    # The statistical error over the cells is 0.3 %; the kernel is within 5 % of the mean.
+    # The statistical error of the mean over cells is 0.3 %; the kernel agrees with the mean within 5 %.
     assert one.kept["scatter"][middle].mean() / fast.kept["scatter"][middle].mean() == pytest.approx(1, abs=0.06)
 
 
@@ -263,11 +263,11 @@ def test_noise_falls_less_with_frequency_than_the_squared_mtf(small):
     power = np.abs(np.fft.fft2(pixels - pixels.mean())) ** 2
     f = np.hypot(*np.meshgrid(*2 * [np.fft.fftfreq(512, 0.15)]))
     low, high = (power[abs(f - at) < 0.1].mean() for at in (0.4, 2.0))
-    # The squared MTF falls by 10.5 from 0.4/mm to 2/mm; the noise falls by less than half of that.
+    # From 0.4/mm to 2/mm the squared MTF decreases by a factor of 10.5, the noise by less than half of this factor.
     assert 3.5 < low / high < 6
 
 
-def test_paths_of_one_geometry_are_reused_for_several_protocols(built, scene, small):
+def test_path_lengths_are_reused_for_protocols_of_the_same_geometry(built, scene, small):
     paths = pssf.trace(scene, small, engine="scanline")
     before = {name: lengths.copy() for name, lengths in paths.path_mm.items()}
     for protocol in (
@@ -284,7 +284,7 @@ def test_paths_of_one_geometry_are_reused_for_several_protocols(built, scene, sm
 
 
 @pytest.mark.parametrize("changed", [{"sdd_mm": 1300.0}, {"rows": 200}, {"texture": "none"}])
-def test_paths_of_another_view_or_texture_raise_an_error(built, scene, small, changed):
+def test_path_lengths_of_another_view_or_texture_raise_an_error(built, scene, small, changed):
     paths = pssf.trace(scene, dataclasses.replace(small, **changed), engine="scanline")
     with pytest.raises(pssf.InputError, match=r"^paths must "):
         pssf.simulate(built, small, paths=paths)
@@ -297,7 +297,7 @@ def test_invalid_arguments_raise_an_error_before_a_knee_is_built(name, value, mo
         pssf.simulate(pssf.Knee(), pssf.load_protocol("reference"), **{name: value})
 
 
-def test_paths_of_another_knee_raise_an_error(built, small):
+def test_path_lengths_of_another_knee_raise_an_error(built, small):
     other = build_once(dataclasses.replace(built.knee, jsw_medial_mm=5.0))
     paths = pssf.trace(other.scene, small, engine="scanline")
     with pytest.raises(pssf.InputError, match="paths must belong to the simulated scene"):
@@ -306,7 +306,7 @@ def test_paths_of_another_knee_raise_an_error(built, small):
         pssf.simulate(built.knee, small, scene=other.scene)
 
 
-def test_a_built_knee_has_the_labels_of_its_own_knee(built, small):
+def test_a_built_knee_is_simulated_with_its_own_labels(built, small):
     other = build_once(dataclasses.replace(built.knee, jsw_medial_mm=5.0))
     for one in (built, other):
         radiograph = pssf.simulate(one, small, engine="scanline")
@@ -330,5 +330,5 @@ def test_repr_of_radiograph_knee_and_truth_contains_no_arrays(built, small):
     radiograph = pssf.simulate(built, small, engine="scanline", keep=("primary", "masks", "path_mm"))
     for text in (repr(radiograph), repr(built), repr(radiograph.truth)):
         assert "array" not in text
-        # The text has each field of protocol, knee and truth once.
+        # The text contains each field of protocol, knee and truth once.
         assert len(text) < 5000

@@ -1,4 +1,4 @@
-"""Skin folds: skin and fat are indented together, never through the fascia, and nothing else moves."""
+"""Check skin folds: skin and fat are indented equally outside the fascia, and other tissues do not change."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ def find_surface(built, name):
 
 @settings(max_examples=25, deadline=None)
 @given(depth=st.floats(0.01, 0.85), seed=st.integers(0, 2**32), scale=st.floats(0.85, 1.15))
-def test_folds_indent_skin_and_fat_equally_and_stay_outside_the_fascia(depth, seed, scale):
+def test_skin_folds_indent_skin_and_fat_equally_outside_the_fascia(depth, seed, scale):
     skin, fat = add_skin_folds(
         make_rings(FAT_MM + SKIN_MM), make_rings(FAT_MM), make_rings(0.0), FOLDS, depth, scale, seed
     )
@@ -70,7 +70,7 @@ def test_skin_folds_change_only_skin_and_fat():
     assert lost[0] == pytest.approx(lost[1], rel=0.15)
 
 
-def test_paths_through_folds_are_not_negative():
+def test_path_lengths_through_skin_folds_are_not_negative():
     protocol = replace(load_protocol("fixed_flexion"), rows=256, cols=256, pixel_mm=1.2)
     traced = [
         trace(built.scene, built.aim_beam(protocol))
@@ -94,6 +94,6 @@ def test_fold_depth_depends_on_bmi_and_is_zero_in_table_paper():
     assert sample_folds(38.0).mean() == pytest.approx(0.36, abs=3 * 0.72 / np.sqrt(12 * 40))
 
 
-def test_a_fold_depth_through_the_fascia_raises_an_error():
+def test_skin_folds_as_deep_as_the_subcutaneous_fat_raise_an_error():
     with pytest.raises(InputError, match=r"skin_folds must be .*, got 1"):
         Knee(skin_folds=1.0)

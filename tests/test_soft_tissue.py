@@ -1,4 +1,4 @@
-"""Soft tissue: muscles, intermuscular fat and limb thickness by BMI."""
+"""Check soft tissue: muscles, intermuscular fat and limb thickness by BMI."""
 
 import dataclasses
 
@@ -62,7 +62,7 @@ def test_intermuscular_fat_overlaps_no_other_tissue(side, bmi, flexion_deg, scor
     assert_allclose(sum(path for name, path in paths.items() if name != "air"), whole, atol=1e-9)
 
 
-def test_tissue_beside_the_tibia_is_mostly_fat_in_the_thigh_mostly_muscle(built, scene):
+def test_tissue_is_mostly_fat_beside_the_tibia_and_muscle_in_the_thigh(built, scene):
     paths = pssf.trace(scene, REFERENCE, engine="scanline")
     edge = built.assembly.bone_parameters.half_ml_mm
     beside, thigh = (edge + 4.0, 0.0, -20.0), (edge - 6.0, 0.0, 110.0)
@@ -70,7 +70,7 @@ def test_tissue_beside_the_tibia_is_mostly_fat_in_the_thigh_mostly_muscle(built,
     assert measure_path_at(paths, "muscle", thigh) > 2.0 * measure_path_at(paths, "adipose", thigh)
 
 
-def test_fat_fills_the_popliteal_fossa_and_backs_the_quadriceps_tendon(scene):
+def test_fat_fills_the_popliteal_fossa_and_lies_behind_the_tendon(scene):
     solids = build_solids(scene)
     fat = solids["intermuscular_fat"]
     fossa = trimesh.creation.box((16.0, 10.0, 10.0)).apply_translation((-12.0, 40.0, 60.0))
@@ -82,7 +82,7 @@ def test_fat_fills_the_popliteal_fossa_and_backs_the_quadriceps_tendon(scene):
     assert (tendon - solids["muscle"]).volume() < 1e-6
 
 
-def test_the_thigh_covers_a_long_femur():
+def test_the_thigh_encloses_a_long_femur():
     rng = np.random.default_rng(np.random.SeedSequence(1936, spawn_key=(1,)))
     solids = build_solids(pssf.build(sample_wide_range_knee(rng, 13)).scene)
     assert (solids["femur"] - solids["muscle"]).volume() < 1e-6

@@ -1,4 +1,4 @@
-"""Sparse maps of path lengths: the same values as in arrays, with less memory."""
+"""Check sparse maps of path lengths: the same values as dense arrays with less memory."""
 
 import dataclasses
 import tracemalloc
@@ -26,7 +26,7 @@ def built():
 
 
 @pytest.mark.parametrize("engine", ["embree", "scanline"])
-def test_sparse_maps_equal_the_arrays_of_trace(built, engine):
+def test_sparse_maps_contain_the_path_lengths_of_trace(built, engine):
     paths = pssf.trace(built.scene, make_protocol(), engine=engine)
     strips, audit = trace_sparse(built.scene, make_protocol(), engine=engine)
     assert audit == paths.audit
@@ -81,7 +81,7 @@ def test_the_minimum_of_a_full_map_is_not_zero():
 
 
 @pytest.mark.parametrize("keep", [(), ("primary", "scatter")])
-def test_an_exposed_image_keeps_only_the_requested_images(built, keep):
+def test_an_exposed_image_stores_only_the_requested_images(built, keep):
     technique = resolve_technique(make_protocol(grid_ratio=8.0))
     path_mm, _ = trace_sparse(built.scene, technique.protocol)
     image = LatentImage(path_mm=path_mm, scene=built.scene)
@@ -90,12 +90,13 @@ def test_an_exposed_image_keeps_only_the_requested_images(built, keep):
     assert set(image.kept) == set(keep)
 
 
-def test_a_large_detector_needs_memory_of_few_maps(built):
+def test_a_large_detector_needs_memory_for_fewer_than_eight_maps(built):
     technique = make_protocol(rows=1536, cols=1536, pixel_mm=0.2)
-    pssf.simulate(built, technique, rng=1)  # fills the caches, which do not count
+    # A first simulation fills the caches, whose memory is not measured.
+    pssf.simulate(built, technique, rng=1)
     tracemalloc.start()
     pssf.simulate(built, technique, rng=1)
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
-    # The unit is a float32 map; with full arrays of all path lengths 17 were needed.
+    # Memory is expressed in float32 maps; dense arrays of all path lengths would need 17 maps.
     assert most / (4 * 1536**2) < 8

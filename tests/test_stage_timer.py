@@ -1,4 +1,4 @@
-"""Timer: seconds and rate of stages."""
+"""Check the timer: seconds and rates of stages."""
 
 import pytest
 
@@ -12,7 +12,7 @@ class Clock:
         return self.seconds
 
 
-def test_items_done_before_count_as_done_but_not_for_the_rate():
+def test_items_of_an_earlier_run_count_as_done_but_not_for_the_rate():
     clock = Clock()
     stage = Stage("radiographs", 100, clock)
     clock.seconds = 5.0
@@ -27,7 +27,7 @@ def test_items_done_before_count_as_done_but_not_for_the_rate():
     assert stage.seconds_left() == pytest.approx(50.0)
 
 
-def test_time_left_is_never_negative():
+def test_the_remaining_time_is_never_negative():
     clock = Clock()
     stage = Stage(total=2, now=clock)
     clock.seconds = 1.0

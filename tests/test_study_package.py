@@ -1,4 +1,4 @@
-"""The package `pssf.study`: optional libraries and lazy imports."""
+"""Check optional libraries and lazy imports of `pssf.study`."""
 
 import importlib.util
 import subprocess

@@ -1,4 +1,4 @@
-"""The whole study, from a manifest to a report."""
+"""Check a complete study, from the manifest to the report."""
 
 import re
 import sys
@@ -55,7 +55,7 @@ def test_a_study_finds_the_regions_and_separates_the_grades(result):
 
 
 @pytest.mark.parametrize("name", ["auc", "balanced_accuracy", "reliability", "claims", "cost"])
-def test_the_documentation_shows_the_tables_of_a_study(name, result):
+def test_the_tables_of_a_study_are_shown_in_the_documentation(name, result):
     layout = TableStore().load_layouts()[name]
     rows = layout.format_cells(read_rows(layout, result.report.parent, {}))
     assert rows
@@ -75,7 +75,7 @@ def test_the_report_is_one_self_contained_page(result):
     assert len(pictures) == len(result.pictures) == 7
     assert all(re.search(r'alt="[^"]{20,}"', picture) for picture in pictures)
     assert "43 of 107" in page
-    # The result and its limits come first.
+    # The report begins with the results and their limitations.
     first = page[page.index("<h1>") : page.index("<section")]
     assert "mean over the splits" in first
     assert "With 15 subjects no claim about a model is decided; a split has 2 to 3 test subjects" in first
@@ -84,7 +84,7 @@ def test_the_report_is_one_self_contained_page(result):
     assert not [path for path in result.report.parent.rglob("*") if path.name.startswith(".")]
 
 
-def test_the_contents_of_the_report_are_its_headings(result):
+def test_the_table_of_contents_of_the_report_lists_its_headings(result):
     page = result.report.read_text(encoding="utf-8")
     headings = re.findall(r'<section id="(\w+)">\s*<h2>([^<]+)</h2>', page)
     navigations = re.findall(r"<nav .*?</nav>", page, re.DOTALL)
@@ -108,13 +108,13 @@ def test_every_table_of_the_report_links_to_an_existing_file(result, film_study)
             assert all((study_result.report.parent / file).is_file() for file in files), files
 
 
-def test_no_cell_of_the_report_is_an_interval_without_ends(result, film_study):
+def test_no_cell_of_the_report_has_missing_interval_limits(result, film_study):
     for study_result in (result, film_study):
         page = re.sub('src="data:[^"]*"', "", study_result.report.read_text(encoding="utf-8"))
         assert not re.search(r"n/a|\bnan\b|\binf\b|– to|to –|None", page)
 
 
-def test_undecided_tables_of_the_report_are_folded_with_a_reason(result):
+def test_undecided_report_tables_are_collapsed_with_a_reason(result):
     page = result.report.read_text(encoding="utf-8")
     scores = page[page.index('<section id="scores">') : page.index('<section id="robustness">')]
     tables = scores.count("<table")
@@ -132,7 +132,8 @@ def test_a_second_run_reuses_the_features_and_writes_identical_files(result, tmp
         return make_cohort().load(file)
 
     again = study.run(make_cohort().manifest, load, [TEMPLATE], SMALL, tmp_path, retest=make_cohort().retest(3))
-    assert len(loaded) == 9  # radiographs of the figure
+    # Only the nine radiographs of the figure are loaded.
+    assert len(loaded) == 9
     for name, path in result.tables.items():
         assert again.tables[name].read_bytes() == path.read_bytes(), name
     for name, path in result.pictures.items():
@@ -157,7 +158,7 @@ def test_a_manually_changed_row_of_features_is_measured_again(result, tmp_path):
     assert path.read_text(encoding="utf-8") == "".join(lines)
 
 
-def test_repeats_are_used_for_reliability_only(result):
+def test_repeated_radiographs_are_used_only_for_reliability(result):
     across = result.reliability.groupby("conditions")["knees"].max()
     assert across["repeated noise"] == across["small perturbations"] == 3
     assert across["all protocols"] == 15
@@ -182,7 +183,7 @@ def test_saved_models_are_trained_on_all_subjects(result):
         assert probabilities.shape == (len(features), len(model.card.grades))
 
 
-def test_invalid_repeats_raise_an_error_that_names_the_fault(tmp_path):
+def test_the_error_for_invalid_repeats_names_the_fault(tmp_path):
     manifest, retest = make_cohort().manifest, make_cohort().retest(2)
     first = manifest[manifest["protocol"] == "reference"].set_index("knee")
     for broken, message in (
@@ -198,10 +199,10 @@ def test_invalid_repeats_raise_an_error_that_names_the_fault(tmp_path):
             r"must have its own file, got sha256 = .*\(7 rows affected\)",
         ),
         (retest.assign(knee=99), r"must be of a knee in the manifest, got knee = 99 \(8 rows affected\)"),
-        (retest.assign(subject=14), "manifest of repeats: knee 0 must have one subject, got 0 and 14"),
-        (retest.assign(grade=2), "manifest of repeats: knee 0 must have one grade, got 0 and 2"),
-        (retest.assign(knee=1 - retest["knee"]), "manifest of repeats: knee 0 must have one subject, got 0 and 1"),
-        (retest.assign(side="left"), "manifest of repeats: knee 0 must have one side, got right and left"),
+        (retest.assign(subject=14), "retest manifest: knee 0 must have one subject, got 0 and 14"),
+        (retest.assign(grade=2), "retest manifest: knee 0 must have one grade, got 0 and 2"),
+        (retest.assign(knee=1 - retest["knee"]), "retest manifest: knee 0 must have one subject, got 0 and 1"),
+        (retest.assign(side="left"), "retest manifest: knee 0 must have one side, got right and left"),
     ):
         with pytest.raises(InputError, match=message):
             study.run(manifest, make_cohort().load, [TEMPLATE], SMALL, tmp_path, retest=broken)
@@ -210,7 +211,7 @@ def test_invalid_repeats_raise_an_error_that_names_the_fault(tmp_path):
 def test_rejected_regions_and_subjects_ordered_by_grade_are_reported(tmp_path):
     manifest = make_cohort().manifest
     number = 5 * manifest["grade"] + manifest["subject"] // 3
-    # Identifiers are strings, for which P10 sorts before P2.
+    # Identifiers are strings; P10 sorts before P2.
     manifest = manifest.assign(subject=[f"P{one}" for one in number])
     blank = set(manifest[manifest["subject"] == "P14"]["file"])
 
@@ -238,7 +239,7 @@ def test_a_cohort_of_one_protocol_and_two_grades_has_a_report(tmp_path):
     assert "no knees of grades 0, 1 and 2" in page
 
 
-def test_an_invalid_manifest_raises_an_error_that_names_the_fault(tmp_path):
+def test_the_error_for_an_invalid_manifest_names_the_fault(tmp_path):
     manifest = make_cohort().manifest
     for broken, message in (
         (manifest.drop(columns="sha256"), "sha256"),

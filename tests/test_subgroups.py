@@ -1,4 +1,4 @@
-"""Scores of subgroups of subjects by sex and age."""
+"""Check scores of subgroups of subjects by sex and age."""
 
 import numpy as np
 import pandas as pd
@@ -76,10 +76,10 @@ def test_a_subgroup_with_fewer_than_six_test_subjects_has_no_interval(subjects, 
 @pytest.mark.parametrize(
     ("tested", "decided"), [((4, 4, 4, 14, 14), False), ((4, 4, 6, 6, 6), True), ((0, 0, 8), False)]
 )
-def test_the_median_number_of_test_subjects_decides_on_an_interval(tested, decided):
+def test_the_median_test_set_size_determines_if_there_is_an_interval(tested, decided):
     predictions = make_predictions(40, repeats=len(tested))
     men = predictions[predictions["subject"] % 2 == 1]
-    # Each split keeps the first subjects, equal numbers of both grades.
+    # Each split retains the first subjects, with equal numbers of both grades.
     position = men.groupby(["repeat", "truth"]).cumcount()
     men = men[position < men["repeat"].map(dict(enumerate(tested))) // 2]
     found = score_subgroups(

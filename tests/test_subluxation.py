@@ -1,4 +1,4 @@
-"""Subluxation: the femur is shifted on the tibia in every posture, and joint spaces stay as specified."""
+"""Check subluxation: the femur is shifted on the tibia in every posture, with the specified JSW."""
 
 import dataclasses
 
@@ -31,7 +31,7 @@ def assemble_and_build(knee, posture):
 
 
 @pytest.mark.parametrize("subluxation_mm", [-6.0, 3.0, 6.0])
-def test_the_femur_is_shifted_medially_and_joint_spaces_are_kept(subluxation_mm):
+def test_subluxation_shifts_the_femur_medially_without_changing_jsw(subluxation_mm):
     knee = Knee(jsw_medial_mm=1.5, jsw_lateral_mm=5.0, subluxation_mm=subluxation_mm)
     assembly, placed = assemble_and_build(knee, Posture())
     unshifted, _ = assemble_and_build(dataclasses.replace(knee, subluxation_mm=0.0), Posture())
@@ -66,7 +66,7 @@ def test_a_flexed_knee_has_the_same_subluxation(posture):
     assert [pose.medial_shift_mm for pose in poses] == [4.0, 0.0]
 
 
-def test_a_subluxed_knee_is_built_without_faults_and_with_its_jsw():
+def test_a_subluxed_knee_has_no_faults_and_the_specified_jsw():
     knee = Knee(
         jsw_definition="read", jsw_medial_mm=0.8, jsw_lateral_mm=4.5, varus_deg=4.0, subluxation_mm=5.0, side="left"
     )

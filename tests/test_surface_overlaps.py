@@ -1,4 +1,4 @@
-"""Stated materials of surfaces compared with the materials that rays find."""
+"""Check the comparison of stated surface materials with materials along rays."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def test_nested_shells_have_no_contradictions_in_any_pose_or_order(at, turn, ord
         Surface(move_mesh(make_box(40, 30, 50), at, turn), "trabecular_bone", "cortical_bone", "trabecular"),
         Surface(
             move_mesh(make_box(20, 10, 50), at, turn), "marrow", "trabecular_bone", "marrow"
-        ),  # its ends coincide with a wall
+        ),  # the ends coincide with the wall of the trabecular surface
     ]
     assert not find_contradictions(build_limb_scene(*(shells[k] for k in order)), VIEW)
 
@@ -49,7 +49,7 @@ def test_nested_shells_have_no_contradictions_in_any_pose_or_order(at, turn, ord
         ("cortical_bone", "cortical_bone", set()),
     ],
 )
-def test_a_wrong_outside_material_of_a_core_is_reported(inside, outside, expected):
+def test_a_wrong_outside_material_of_an_inner_surface_is_reported(inside, outside, expected):
     scene = build_limb_scene(
         Surface(make_ball(30.0), "cortical_bone", "muscle", "bone"),
         Surface(make_box(20, 20, 20), inside, outside, "core"),
@@ -57,7 +57,7 @@ def test_a_wrong_outside_material_of_a_core_is_reported(inside, outside, expecte
     assert list_contradictions(scene) == expected
 
 
-def test_a_core_that_protrudes_from_its_shell_is_reported_for_both():
+def test_an_inner_surface_that_protrudes_is_reported_for_both_surfaces():
     scene = build_limb_scene(
         Surface(make_box(40, 40, 40), "cortical_bone", "muscle", "bone"),
         Surface(make_box(10, 50, 10), "marrow", "cortical_bone", "canal"),
@@ -67,7 +67,7 @@ def test_a_core_that_protrudes_from_its_shell_is_reported_for_both():
     assert all(one.longest_mm == pytest.approx(5.0, rel=0.01) for one in find_contradictions(scene, VIEW))
 
 
-def test_each_wrong_shell_is_reported_with_its_surroundings():
+def test_each_wrong_outside_material_is_reported_with_the_found_surface():
     shells = (
         ("leg", 60, "muscle", "water"),
         ("bone", 50, "cortical_bone", "marrow"),
@@ -82,7 +82,7 @@ def test_each_wrong_shell_is_reported_with_its_surroundings():
     assert lengths_mm == pytest.approx({"leg": 120, "bone": 100, "nail": 80}, rel=0.01)
 
 
-def test_a_wrong_ambient_of_the_outermost_surface_is_reported():
+def test_a_wrong_ambient_material_of_the_outermost_surface_is_reported():
     assert list_contradictions(Scene([Surface(make_ball(30.0), "water", "muscle", "ball")])) == {
         ("ball", "muscle", "air", "")
     }
@@ -102,7 +102,7 @@ def test_an_overlap_is_measured_and_a_slight_one_is_ignored():
             assert one.rays > 20
 
 
-def test_contradictions_are_found_from_a_source_inside_the_scene():
+def test_contradictions_are_detected_from_a_source_inside_the_scene():
     view = View(source_mm=(1.0, 0.0, 2.0), centre_mm=(0.0, 200.0, 0.0), rows=16, cols=16, pixel_mm=8.0)
     shells = [
         Surface(make_ball(30.0), "cortical_bone", "muscle", "bone"),
@@ -116,7 +116,7 @@ def test_contradictions_are_found_from_a_source_inside_the_scene():
     assert ("core", "muscle", "cortical_bone", "bone") in list_contradictions(build_limb_scene(*wrong), view)
 
 
-def test_a_self_overlap_is_reported_as_such_and_not_as_a_contradiction():
+def test_a_self_overlap_is_not_reported_as_a_material_contradiction():
     both = trimesh.util.concatenate([make_ball(20.0), make_ball(20.0, at=(0.0, 20.0, 0.0))])
     scene = build_limb_scene(Surface(both, "water", "muscle", "both"))
     assert not find_contradictions(scene, VIEW)
@@ -126,7 +126,7 @@ def test_a_self_overlap_is_reported_as_such_and_not_as_a_contradiction():
     assert fold.longest_mm == pytest.approx(20.0, rel=0.02)
 
 
-def test_touching_walls_of_a_mesh_are_no_self_overlap():
+def test_touching_walls_of_a_mesh_are_not_reported_as_self_overlap():
     beside = trimesh.util.concatenate([make_box(20, 20, 20), make_box(20, 20, 20, at=(0, 20, 0))])
     hole = make_box(10, 10, 10, at=(0, 5, 0))
     hole.invert()

@@ -1,4 +1,4 @@
-"""Implants and resections: path lengths, densities, labels and masks of a knee after surgery."""
+"""Check implants and resections: path lengths, densities, labels and masks of a knee after surgery."""
 
 import dataclasses
 import pickle
@@ -54,7 +54,7 @@ def build_outer_solid(built, name):
 
 
 def make_femoral_component(built):
-    """Make the end of the femur outside a box, so that it has faces in common with the bone."""
+    """Make a component from the end of the femur outside a box; its surface coincides with the bone surface."""
     low, high = (-60, -20, 10), (60, 12, 90)
     cut = Manifold.cube(tuple(np.subtract(high, low))).translate(low)
     return (build_outer_solid(built, "femur") - cut).trim_by_plane((0, 0, -1), -26).decompose()[0]
@@ -130,7 +130,7 @@ def trace_brute_force(name, view):
     return protocol, BruteForceRays(build_knee(name).scene, protocol, np.sort(rng.choice(24 * 24, 60, replace=False)))
 
 
-# Each pair of an operation and a view, of an operation and a texture, and of a view and a texture occurs.
+# Cases (operation, view, texture), in which every pair of two of these properties occurs.
 SURGICAL_CASES = [
     pytest.param(operation, *view, (number + other) % 2 == 0, id=f"{operation.__name__}-{'-'.join(view)}")
     for number, operation in enumerate(OPERATIONS)
@@ -139,7 +139,7 @@ SURGICAL_CASES = [
 
 
 @pytest.mark.parametrize(("operation", "name", "view", "texture"), SURGICAL_CASES)
-def test_paths_after_surgery_equal_brute_force_with_implant_priority(operation, name, view, texture):
+def test_paths_after_surgery_agree_with_brute_force_ray_tracing(operation, name, view, texture):
     protocol, rays = trace_brute_force(name, view)
     steps, built = operate(operation, name)
     wanted, even = rays.trace_paths(steps, texture=texture)
@@ -160,7 +160,7 @@ positions = st.tuples(st.floats(-40, 40), st.floats(-25, 25), st.floats(-60, 60)
 
 @settings(max_examples=8, deadline=None)
 @given(start=positions, direction=positions, radius=st.floats(1.0, 8.0))
-def test_a_rod_replaces_as_much_tissue_as_it_adds_metal(start, direction, radius):
+def test_a_rod_replaces_the_same_path_length_of_tissue_by_metal(start, direction, radius):
     end = np.add(start, direction)
     assume(np.linalg.norm(direction) > 5 and np.abs(end).max() < 62)
     body = make_rod(start, end, radius)
@@ -174,16 +174,16 @@ def test_a_rod_replaces_as_much_tissue_as_it_adds_metal(start, direction, radius
     assert np.abs(after["titanium_alloy"] - metal_mm).max() < 1e-9
     beside = metal_mm == 0
     assert all(np.abs(after[material] - before[material])[beside].max() < 1e-9 for material in before)
-    # Tissues with a common wall overlap by up to 3e-5 mm, which a rod there removes.
+    # Adjacent tissues overlap by up to 3e-5 mm, and a rod removes this overlap.
     assert all((after[material] <= before[material] + 1e-4).all() for material in before)
     assert np.abs(sum(before.values()) - sum(after.values())).max() < 1e-9
 
 
-def test_a_cut_changes_no_faces_away_from_it():
+def test_cutting_a_mesh_does_not_change_distant_faces():
     whole = next(s for s in build_knee("right").scene.surfaces if s.name == "intermuscular_fat").mesh_arrays
     solid = build_solid(whole.vertices, whole.faces, "fat")
     cut = restore_uncut_faces(extract_mesh(solid - Manifold.sphere(6.0, 32).translate((30, -18, 110))), whole)
-    # Faces with all vertices away from the ball are identical to those of the whole mesh, and none is missing.
+    # Faces with all vertices far from the ball are the same before and after the cut.
     after, before = (
         {
             frozenset(map(tuple, corners))
@@ -196,7 +196,7 @@ def test_a_cut_changes_no_faces_away_from_it():
     assert after == before
 
 
-def test_an_implant_inside_bone_changes_no_label():
+def test_an_implant_within_bone_changes_no_label():
     whole, (_, drilled) = build_knee("right"), operate(make_screw, "right")
     for name in ("reference", "fixed_flexion"):
         protocol = make_protocol(name)
@@ -231,7 +231,7 @@ def test_a_replaced_joint_has_no_joint_space_and_no_grade():
         after.inter_margin_mm(protocol)
 
 
-def test_a_unicondylar_implant_keeps_the_labels_of_the_other_side():
+def test_a_unicondylar_implant_preserves_labels_of_the_other_compartment():
     whole = build_knee("right")
     after = whole.insert(make_box((8, -30, -8), (45, 25, 4)), "cobalt_chromium", name="unicondylar")
     with pytest.warns(pssf.SurgeryNotice, match="replaces the medial joint"):
@@ -245,7 +245,7 @@ def test_a_unicondylar_implant_keeps_the_labels_of_the_other_side():
     assert truth.landmarks_px["tibia_lateral_1"] == before.landmarks_px["tibia_lateral_1"]
 
 
-def test_metal_that_covers_the_joint_removes_its_label_only_in_that_view():
+def test_metal_over_the_joint_removes_the_label_only_in_that_view():
     whole = build_knee("right")
     # The clip is in the muscle behind the joint, away from both bones.
     after = whole.insert(make_box((15, 38, -3), (25, 41, 8)), "titanium_alloy", name="clip")
@@ -262,11 +262,11 @@ def test_metal_that_covers_the_joint_removes_its_label_only_in_that_view():
         assert after.truth(above) == whole.truth(above)
 
 
-def test_lateral_labels_are_those_of_the_remaining_bone():
+def test_lateral_view_labels_describe_the_remaining_bone():
     protocol = make_protocol("lateral")
     whole = pssf.build(pssf.Knee(), protocol)
     high = whole.scene.bounds_mm[1]
-    # In the lateral view x of the leg is along the beam; the plateau is near z = 0.
+    # In the lateral view the beam is along the x axis of the leg; the plateau is near z = 0.
     after = whole.resect(make_box((-high[0], -high[1], -12), (high[0], high[1], 3)), name="cut")
     with pytest.warns(pssf.SurgeryNotice):
         truth = after.truth(protocol)
@@ -287,7 +287,8 @@ def test_a_resected_osteophyte_has_no_mask():
 def test_a_partly_resected_osteophyte_has_a_smaller_mask_and_no_grade():
     whole = build_knee("left")
     mesh = whole.osteophyte_meshes()["medial_tibia"]
-    tip = mesh.vertices[mesh.vertices[:, 0].argmin()]  # medial in a left knee
+    # The x axis points laterally in a left knee, so the smallest x is medial.
+    tip = mesh.vertices[mesh.vertices[:, 0].argmin()]
     after = whole.resect(make_box(tip - 1.5, tip + 1.5), name="trim")
     left = after.solids()["medial_tibia_osteophyte"]
     assert 0 < left.as_trimesh().volume < 0.99 * mesh.as_trimesh().volume
@@ -306,7 +307,7 @@ def test_masks_contain_the_implant_and_the_remaining_bone(tmp_path):
     bone = paths["cortical_bone"] + paths["trabecular_bone"] + paths["marrow"] > 1e-3
     shadow = np.any([masks[name] for name in ("femur", "tibia", "fibula", "patella")], axis=0)
     assert (bone & ~shadow).sum() <= 2
-    # Exceptions are rays that meet only a hairline of bone or metal.
+    # Rays that graze bone or metal may be exceptions.
     assert (shadow & ~bone).mean() < 0.002
     for suffix in ("tif", "dcm"):
         path = pssf.save_masks(radiograph, tmp_path / f"masks.{suffix}")
@@ -315,7 +316,7 @@ def test_masks_contain_the_implant_and_the_remaining_bone(tmp_path):
         assert all(np.array_equal(loaded[name], masks[name]) for name in masks)
 
 
-def test_the_segmentation_codes_an_implant_as_implant(tmp_path):
+def test_the_dicom_segmentation_codes_an_implant_as_implant(tmp_path):
     import pydicom
 
     _, after = operate(make_screw, "right")
@@ -375,7 +376,8 @@ def test_each_knee_of_a_pair_keeps_its_own_implants():
 
 def test_a_pickled_knee_keeps_its_implants():
     after = apply_surgery(build_knee("right"), make_screw(build_knee("right")))
-    assert all(step.solid for step in after.surgery)  # solids are built before pickling
+    # The solids of the surgical steps are built before pickling.
+    assert all(step.solid for step in after.surgery)
     copied = pickle.loads(pickle.dumps(after))
     assert copied.surgery_table() == after.surgery_table()
     assert len(copied.scene.surfaces) == len(after.scene.surfaces)
@@ -435,7 +437,7 @@ def test_check_finds_no_faults_in_a_knee_with_implants(operation):
     assert str(pssf.check(built)) == "no faults"
 
 
-def test_resecting_bone_around_an_implant_keeps_the_implant():
+def test_resecting_bone_around_an_implant_preserves_the_implant():
     built = build_knee("right").insert(make_rod((-20, 0, 14), (20, 0, 14), 2), "titanium_alloy", name="pin")
     after = built.resect(make_box((-60, -60, 5), (0, 60, 40)), name="cut")
     steps = [(make_rod((-20, 0, 14), (20, 0, 14), 2), "titanium_alloy"), (make_box((-60, -60, 5), (0, 60, 40)), None)]

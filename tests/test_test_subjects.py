@@ -15,7 +15,7 @@ from pssf.study.statistics.scores.tested_subjects import (
 )
 
 
-def test_test_subjects_are_counted_once_in_total_and_in_the_rarest_class():
+def test_test_subjects_are_counted_in_total_and_in_the_rarest_class():
     subjects, truth = ["a", "a", "b", "c", "d", "d"], np.array([0, 0, 0, 0, 0, 1])
     assert count_test_subjects(subjects, truth, range(2)) == {"test_subjects": 4, "test_rarest": 1}
     assert count_test_subjects(subjects, truth, range(3)) == {"test_subjects": 4, "test_rarest": 0}
@@ -30,7 +30,7 @@ def test_test_subjects_are_counted_once_in_total_and_in_the_rarest_class():
         (5, 3, False),
     ],
 )
-def test_a_decision_needs_enough_test_subjects_in_total_and_per_class(subjects, rarest, decided):
+def test_a_decision_requires_enough_test_subjects_overall_and_per_class(subjects, rarest, decided):
     assert has_enough_test_subjects(dict(zip(TEST_COUNT_COLUMNS, (subjects, rarest), strict=True))) == decided
 
 

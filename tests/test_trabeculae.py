@@ -1,4 +1,4 @@
-"""Trabecular bone: density integrals, strut lattice, sclerosis, age, and the physeal scar."""
+"""Check trabecular bone: density integrals, strut lattice, sclerosis, age, and physeal scar."""
 
 import dataclasses
 import time
@@ -87,8 +87,8 @@ SCAR_ORDER = {"femur": (-1, 1, 0), "tibia": (1, -1, 0)}
 
 @pytest.fixture(scope="module")
 def means_of_24_seeds() -> dict[str, np.ndarray]:
-    """Average BV/TV and scar integrals over 24 seeds, because patches differ; only the last strut lattice is kept."""
-    # In sampled knees the floor of the medial plateau is about 3 mm below its edges, which are at 0.
+    """Average BV/TV and scar integrals over 24 seeds, because they vary between seeds."""
+    # The floor of the medial plateau is about 3 mm below the plateau edges, whose height is 0.
     sides = [(ACROSS_MM + at, z, 12.0) for at in (23.0, -23.0) for z in (-7.0, -11.0, -18.0)]
     points = [*sides, *((ACROSS_MM + 23, z, 22.5) for z in DEEP_MM)]
     found: dict[str, list] = {"bvtv": [], "femur": [], "tibia": []}
@@ -106,7 +106,7 @@ def patch() -> np.ndarray:
     return change_parameters(build_bone(), **EVEN).integrate(*make_segments_along_y(x, z)).reshape(x.shape)
 
 
-def test_the_integral_of_uniform_bone_without_struts_is_the_length():
+def test_the_integral_of_uniform_bone_without_struts_is_its_length():
     starts, ends = sample_segments(500)
     length = np.linalg.norm(ends - starts, axis=1)
     even = change_parameters(build_bone(), **FLAT, **NO_STRUTS)
@@ -127,9 +127,9 @@ def test_segments_of_zero_length_have_an_integral_of_zero():
 
 @pytest.mark.parametrize("name", BONES)
 @pytest.mark.parametrize("along_y", [0.0, 1.0])
-def test_integrals_of_the_parts_of_a_segment_add_up_to_the_whole(name, along_y):
+def test_integrals_over_parts_of_a_segment_sum_to_the_total_integral(name, along_y):
     starts, ends = sample_segments(300)
-    # Both kinds of sampling are tested: within a few degrees of y, and in any direction.
+    # Segments within a few degrees of y and in other directions are sampled differently; both cases are tested.
     ends = ends + along_y * (starts + np.array([0.0, 60.0, 0.0]) - ends) + along_y * sample_segments(300, 2, 1.0)[0]
     fraction = np.random.default_rng(1).random((300, 1))
     middles = starts + fraction * (ends - starts)
@@ -145,7 +145,7 @@ def test_a_reversed_segment_has_the_same_integral():
 
 @pytest.mark.parametrize("oblique", [0.0, 20.0])
 def test_the_integral_of_a_segment_does_not_depend_on_its_neighbours(oblique):
-    # Segments are processed in parallel: of any length, one of zero length, along y and oblique.
+    # Segments are processed in parallel; the test includes zero length, and directions along y and oblique to y.
     starts, ends = sample_segments(37)
     ends = starts + np.array([0.0, 1.0, 0.0]) * (ends - starts) + oblique * sample_segments(37, 2, 1.0)[0]
     ends[5] = starts[5]
@@ -166,14 +166,14 @@ def test_the_seed_determines_the_trabecular_structure():
     assert abs(np.corrcoef(one - np.convolve(one, np.ones(40) / 40, "same"), two)[0, 1]) < 0.3
 
 
-def test_tibia_and_femur_have_independent_struts():
+def test_tibia_and_femur_have_different_struts():
     starts, ends = make_segments_along_y(np.linspace(-30, 30, 400), -12.0)
     one, two = (change_parameters(build_bone(name), **EVEN).integrate(starts, ends) for name in ("tibia", "femur"))
     assert one.std() > 0.3
     assert abs(np.corrcoef(one, two)[0, 1]) < 0.3
 
 
-def test_moving_bone_and_segments_together_changes_nothing():
+def test_moving_bone_and_segments_together_preserves_integrals():
     starts, ends = sample_segments(300)
     matrix, shift = make_rotation(37.0), np.array([3.0, -11.0, 25.0])
     moved = build_bone(frame=np.column_stack((matrix, shift)))
@@ -191,7 +191,7 @@ def test_trabeculae_of_a_left_knee_mirror_those_of_a_right_knee():
 
 
 @pytest.mark.parametrize("name", BONES)
-def test_density_reaches_but_never_falls_below_that_of_marrow(name):
+def test_density_reaches_that_of_marrow_but_is_never_lower(name):
     rng = np.random.default_rng(0)
     starts = rng.uniform(-60, 60, (20_000, 3))
     ends = starts + rng.normal(size=starts.shape) * 0.02
@@ -220,7 +220,7 @@ def test_a_lattice_with_hard_edges_is_made_without_overflow():
     assert block.max() == 255
 
 
-def test_the_lattice_has_its_bone_fraction_and_is_periodic():
+def test_the_strut_lattice_is_periodic_with_the_specified_bone_fraction():
     block, unit = struts.make_strut_lattice(3, load_trabecular_bone().lattice)
     assert block.shape == (513, 257, 128)
     assert np.array_equal(block[-1], block[0])
@@ -235,12 +235,13 @@ def test_the_lattice_has_its_bone_fraction_and_is_periodic():
     assert np.abs(even.integrate(starts + 20.0, ends + 20.0) / even.integrate(starts, ends) - 1).max() > 0.01
 
 
-def test_the_lattice_is_made_once_on_demand_and_cached_for_one_seed(monkeypatch):
+def test_the_lattice_is_created_once_on_demand_and_cached_for_one_seed(monkeypatch):
     made = []
 
     def make(seed, table):
         made.append(seed)
-        time.sleep(0.05)  # long enough for a second thread to request it
+        # The delay allows a second thread to request the lattice.
+        time.sleep(0.05)
         block = np.zeros((513, 257, 128), np.uint8)
         block.setflags(write=False)
         return block, 1.0
@@ -279,7 +280,7 @@ def test_projected_struts_are_vertical_fine_and_nearly_gaussian(patch):
     assert -3.5 < np.log(high / middle) / np.log(2.4) < -1.2
 
 
-def test_bone_is_denser_below_the_plateau_and_medially_than_in_the_shaft(means_of_24_seeds):
+def test_trabecular_bone_is_densest_below_the_medial_plateau(means_of_24_seeds):
     medial, lateral, metaphysis = np.split(means_of_24_seeds["bvtv"], (3, 6))
     assert medial[0] > 1.15 * medial[1] > 1.15 * medial[2]
     # Medial exceeds lateral over the first 6 mm (J Orthop Res 2003 21:6); at 8 to 28 mm patient tibiae are slightly
@@ -297,7 +298,7 @@ def test_bone_is_denser_below_the_plateau_and_medially_than_in_the_shaft(means_o
     assert calm < 0.2 * wavy
 
 
-def test_sclerosis_densifies_subchondral_bone_mostly_medially():
+def test_sclerosis_increases_subchondral_density_mainly_medially():
     # Struts are disabled, because sclerosis also makes them coarser.
     x, healthy, hard = (
         np.linspace(-4, 4, 30),
@@ -318,7 +319,7 @@ def test_sclerosis_densifies_subchondral_bone_mostly_medially():
         for name, bone_of in (("healthy", healthy), ("hard", hard))
     }
     assert below["hard"] > below["healthy"]
-    # The contrast of struts falls in the whole knee; in the fibula nothing else changes.
+    # Sclerosis reduces the strut contrast in the entire knee; other parameters of the fibula do not change.
     fibula, filled = (build_bone("fibula", sclerosis=of).density_parameters for of in (1.0, 1.78))
     assert filled.gain < 0.85 * fibula.gain
     assert filled._replace(gain=fibula.gain, gain_shaft=fibula.gain_shaft) == fibula
@@ -340,7 +341,7 @@ def test_struts_are_coarser_in_sclerotic_bone_and_in_old_women():
         for of in (1.0, 1.5)
     )
     assert np.corrcoef(fine, coarse)[0, 1] > 0.9
-    # With coarser struts neighbouring values are more similar.
+    # Coarser struts make neighbouring values more similar.
     steps = [np.abs(np.diff(one)).mean() / one.std() for one in (fine, coarse)]
     assert steps[1] < 0.98 * steps[0]
 
@@ -359,14 +360,14 @@ def test_bone_volume_falls_with_age_and_is_lower_in_women():
     assert_allclose(gains, (1 - 35 * 0.0015, 1 + 35 * 0.0015))
 
 
-def test_bone_density_scales_bone_volume_everywhere():
+def test_relative_bone_density_scales_bone_volume_everywhere():
     x = np.linspace(-20, 20, 60)
     for z in (-4.0, -15.0, -40.0):
         assert_allclose(compute_bvtv(build_bone(density=1.3), x, z) / compute_bvtv(build_bone(), x, z), 1.3, rtol=1e-9)
 
 
-def test_the_strut_fraction_below_the_plateau_changes_texture_not_mean():
-    """The rest of the additional bone is a fine mesh; the amount of bone does not change."""
+def test_the_strut_fraction_below_the_plateau_changes_only_texture():
+    """Check that the fraction of bone in struts, as opposed to fine mesh, does not affect the bone volume."""
     points = make_segments_along_y(np.linspace(15, 28, 400), -4.0)
     mesh, struts = (
         change_parameters(build_bone(), plate_struts=fraction).integrate(*points) for fraction in (0.0, 1.0)
@@ -375,14 +376,15 @@ def test_the_strut_fraction_below_the_plateau_changes_texture_not_mean():
     assert struts.std() > 1.3 * mesh.std()
 
 
-def test_struts_sway_within_the_tabulated_amplitude_and_coherently():
+def test_struts_sway_coherently_within_the_tabulated_amplitude():
     aside_mm = load_trabecular_bone().sway.amplitude_mm
     straight, swaying = (change_parameters(build_bone(), **EVEN | dict(sway_mm=of)) for of in (0.0, aside_mm))
     tried = np.linspace(-2.0, 2.0, 81)
 
     def shift_mm(x_mm, z_mm):
         """Estimate the local shift of swaying struts relative to straight ones."""
-        x = x_mm + np.linspace(-5.0, 5.0, 101)  # a shorter profile would allow chance matches
+        # Shorter profiles could match by chance.
+        x = x_mm + np.linspace(-5.0, 5.0, 101)
         profile = swaying.integrate(*make_segments_along_y(x, z_mm))
         shifted = straight.integrate(*make_segments_along_y(x[:, None] + tried, z_mm)).reshape(len(x), len(tried))
         return tried[np.argmax([np.corrcoef(profile, other)[0, 1] for other in shifted.T])]
@@ -398,7 +400,8 @@ def test_the_patchiness_of_trabecular_bone_varies_between_knees():
 
     def measure_patchiness(seed):
         block = struts.make_strut_lattice(seed, table)[0][:-1, :-1].astype(np.float32)
-        coarse = block.reshape(16, 32, 16, 16, 4, 32).mean(axis=(1, 3, 5))  # blocks of about 5, 3 and 16 mm
+        # The block edges are about 5, 3 and 16 mm long.
+        coarse = block.reshape(16, 32, 16, 16, 4, 32).mean(axis=(1, 3, 5))
         return coarse.std() / block.std()
 
     found = [measure_patchiness(seed) for seed in range(5)]
@@ -421,7 +424,7 @@ LEVEL = dict(
 )
 
 
-def test_a_thin_physeal_scar_is_integrated_in_full():
+def test_the_integral_of_a_thin_physeal_scar_is_complete():
     for half_mm in (0.5, 0.005):
         scarred = change_parameters(build_bone(), scar_per_mm=1 / half_mm, **LEVEL)
         at = np.array([[scarred.density_parameters.scar_off_mm, 0.0, scarred.density_parameters.scar_z]])
@@ -438,14 +441,14 @@ def test_a_thin_physeal_scar_is_integrated_in_full():
     assert all(-20 <= build_bone(seed=seed).density_parameters.scar_z <= -15 for seed in range(20))
 
 
-def test_the_scar_is_strongest_laterally_in_femur_and_medially_in_tibia(means_of_24_seeds):
+def test_the_scar_is_densest_laterally_in_femur_and_medially_in_tibia(means_of_24_seeds):
     for name in SCAR_ORDER:
         most, less, least = means_of_24_seeds[name]
         assert most > 1.2 * less > 1.44 * least
 
 
 def _integrate_scar(density: Trabeculae, sides: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Integrate the contribution of the scar, (sides,), along vertical segments where it is level."""
+    """Integrate the scar density (sides,) along vertical segments where the scar is horizontal."""
     flat = change_parameters(
         density,
         **{
@@ -464,8 +467,8 @@ def _integrate_scar(density: Trabeculae, sides: NDArray[np.int64]) -> NDArray[np
     )
 
 
-def test_a_domed_scar_projects_to_a_sharp_line_for_every_beam_angle():
-    """A flat sheet is sharp only if the beam is in its plane; a domed one is tangential to beams of up to 8 deg."""
+def test_a_domed_physeal_scar_projects_to_a_line_at_every_beam_angle():
+    """Check that a domed scar, unlike a flat one, is tangential to beams at all angles up to 8 degrees."""
     heights = np.linspace(-8.0, 8.0, 161)
     for degrees in (0.0, 5.0, 8.0):
         rise = np.tan(np.deg2rad(degrees))
@@ -483,7 +486,7 @@ def test_a_domed_scar_projects_to_a_sharp_line_for_every_beam_angle():
         assert degrees == 0.0 or sharp["domed"] > 2.0 * sharp["level"]
 
 
-def test_the_path_between_surfaces_is_the_integral_of_their_density():
+def test_path_lengths_between_surfaces_are_integrals_of_their_density():
     density = build_bone()
     box, canal = (trimesh.creation.box((size, size, size)) for size in (30.0, 12.0))
     scene = pssf.Scene(
@@ -494,7 +497,8 @@ def test_the_path_between_surfaces_is_the_integral_of_their_density():
     )
     view = View(source_mm=(0, -950, 0), centre_mm=(0, 200, 0), rows=3, cols=3, pixel_mm=2.0)
     paths = pssf.trace(scene, view, engine="scanline", precision="float64").path_mm
-    direction = np.array([-2.0, 1150.0, 2.0])  # from the source to the pixel on the top left
+    # Direction from the source to the top left pixel.
+    direction = np.array([-2.0, 1150.0, 2.0])
     depths = np.array([935.0, 944.0, 956.0, 965.0]) / 1150.0
     points = np.array([0.0, -950.0, 0.0]) + depths[:, None] * direction
     expected = density.integrate(points[[0, 2]], points[[1, 3]]).sum()
@@ -524,7 +528,7 @@ def test_invalid_trabecular_parameters_raise_an_error(changed, message):
         build_bone("humerus")
 
 
-def test_only_the_rims_of_the_medial_plateau_have_little_trabecular_bone():
+def test_only_the_medial_plateau_has_little_trabecular_bone_at_its_rims():
     full = change_parameters(build_bone(), **NO_STRUTS)
     filled = change_parameters(build_bone(), **NO_STRUTS, rim=0.0)
     rims = compute_bvtv(full, 23.0, -1.0) / compute_bvtv(filled, 23.0, -1.0)

@@ -1,4 +1,4 @@
-"""Training of all splits in parallel."""
+"""Check the parallel training of all splits."""
 
 import dataclasses
 
@@ -13,7 +13,7 @@ from pssf.study.learn.subject_split import PARTS
 from pssf.study.learn.training import train_all_splits, train_split
 
 
-def test_parallel_splits_equal_single_splits_for_any_number_of_workers():
+def test_parallel_splits_equal_splits_evaluated_one_by_one():
     cohort, alone, together = make_feature_table(13), Execution(), Execution(workers=2)
     one, two = (train_all_splits(cohort, NAMES, LIGHT, execution) for execution in (alone, together))
     for execution in (alone, together):

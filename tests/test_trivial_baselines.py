@@ -32,7 +32,7 @@ def test_the_chance_baseline_predicts_the_grade_frequencies_of_training():
     assert_allclose(rows["p1"], (training["grade"] == 2).mean())
 
 
-def test_a_cohort_without_knee_measures_has_only_the_chance_baseline():
+def test_a_cohort_without_knee_measurements_has_only_chance_as_baseline():
     table = make_measured_cohort().drop(columns=["sex", "age_years", "nominal_jsw_medial_mm"])
     assert list(find_baselines(add_sex_indicator(table), UNSTABLE_NAMES)) == ["chance"]
     assert find_baseline_columns(add_sex_indicator(table)) == ["stature_mm"]

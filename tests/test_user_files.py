@@ -1,4 +1,4 @@
-"""Reading of user files: devices, size limits, malformed content and invalid paths."""
+"""Check reading of user files: devices, size limits, malformed content and invalid paths."""
 
 import os
 from pathlib import Path
@@ -77,7 +77,7 @@ def test_malformed_json_raises_a_one_line_error(text, tmp_path):
     assert "\n" not in str(raised.value)
 
 
-def test_json_of_the_expected_form_is_read(tmp_path):
+def test_valid_json_is_read(tmp_path):
     path = tmp_path / "a.json"
     path.write_text('{"a": 1}')
     assert user_files.read_json(path, dict[str, int]) == {"a": 1}
@@ -86,7 +86,7 @@ def test_json_of_the_expected_form_is_read(tmp_path):
 @pytest.mark.parametrize("path", [None, b"x.tif", "a\0b.tif", 3])
 @pytest.mark.parametrize("read", [pssf.load, pssf.load_parameters, pssf.load_masks, pssf.load_protocol, read_mesh])
 def test_an_invalid_path_raises_an_error(read, path):
-    with pytest.raises(pssf.InputError, match="must be text or a Path, without a null byte"):
+    with pytest.raises(pssf.InputError, match="must be text or a Path without null bytes"):
         read(path)
 
 

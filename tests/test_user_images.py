@@ -1,4 +1,4 @@
-"""Features of the user's own images and masks, in Python and on the command line."""
+"""Check features of images and masks of the user, in Python and on the command line."""
 
 import sys
 
@@ -83,7 +83,7 @@ def test_without_a_mask_the_whole_image_is_measured():
 
 @settings(max_examples=8)
 @given(outside=st.integers(0, 60000), pad=st.integers(0, 5))
-def test_pixels_outside_the_mask_change_nothing(outside, pad):
+def test_pixels_outside_the_mask_do_not_affect_the_features(outside, pad):
     image, mask = np.pad(IMAGE, pad), np.pad(MASK, pad)
     image[~mask] = outside
     families = ["firstorder", "glcm", "glszm"]
@@ -142,7 +142,7 @@ def test_an_invalid_option_raises_an_error(options, why):
 
 
 @pytest.mark.parametrize("rows", [slice(3, 4), slice(3, 5)])
-def test_a_mask_of_one_or_two_lines_has_features(rows):
+def test_a_mask_of_one_or_two_lines_of_pixels_has_features(rows):
     thin = np.zeros(IMAGE.shape, bool)
     thin[rows, 5:20] = True
     assert pssf.features(IMAGE, thin, 0.1, families=["firstorder", "glcm"])["firstorder_linear_Mean"] > 0
@@ -175,7 +175,7 @@ def test_the_command_pairs_images_and_masks_of_a_folder_by_name(tmp_path, monkey
     assert "4 of 5 rows measured" in output
 
 
-def test_every_mask_of_a_mask_file_has_a_row(tmp_path, knee, small):
+def test_every_mask_in_a_mask_file_has_a_table_row(tmp_path, knee, small):
     radiograph = pssf.simulate(knee, small, engine="scanline", keep=("masks",), seed=1)
     (tmp_path / "images").mkdir()
     pssf.save(radiograph, tmp_path / "images" / "k.tif")
@@ -194,10 +194,10 @@ def test_every_mask_of_a_mask_file_has_a_row(tmp_path, knee, small):
 @pytest.mark.parametrize(
     ("names", "why"),
     [
-        ((), "must contain images"),
-        (("a_mask.png",), "must belong to an image a, got none"),
-        (("a.png", "a_mask.png", "a_mask.tif"), "must have one mask file, got"),
-        (("a.png",), "must have an image that can be measured, got none"),
+        ((), "contains no image"),
+        (("a_mask.png",), "has no image: add an image named a"),
+        (("a.png", "a_mask.png", "a_mask.tif"), "has several mask files"),
+        (("a.png",), "must contain an image that can be measured, got none"),
     ],
 )
 def test_a_folder_without_valid_images_exits_with_an_error(names, why, tmp_path, monkeypatch, capsys):

@@ -29,7 +29,7 @@ from pssf.validation.raycasting import (
 from pssf.validation.study_methods import localisation_rates, study_ablation
 
 
-def test_engines_match_exact_polyhedron_chords_without_leaks():
+def test_both_engines_match_exact_chords_of_polyhedra():
     rows = raycast_engines.measure_engines(2, triangles=(1000,), sides=(64, 128), runs=1)
     assert {(row["engine"], row["precision"]) for row in rows} == {
         (engine, precision) for engine in ("embree", "scanline") for precision in ("float32", "float64")
@@ -43,13 +43,13 @@ def test_engines_match_exact_polyhedron_chords_without_leaks():
 
 
 @pytest.mark.slow
-def test_no_ray_through_nested_spheroids_stays_unrepaired():
+def test_no_ray_through_nested_spheroids_remains_unrepaired():
     rows = raycast_engines.measure_nested_spheroids(2, runs=1)
     assert [row["engine"] for row in rows] == ["embree", "embree", "scanline", "scanline"]
     assert not any(row["unrepaired"] for row in rows)
 
 
-def test_growth_exponent_is_one_when_time_is_proportional_to_pixels():
+def test_the_growth_exponent_is_1_if_time_is_proportional_to_pixels():
     rows = [
         {"engine": "scanline", "triangles": 100_000, "pixels": pixels, "precision": "float32", "seconds": seconds}
         for pixels, seconds in ((1000, 0.1), (4000, 0.4), (16000, 0.8))
@@ -84,7 +84,7 @@ def test_the_chord_through_the_middle_of_a_box_equals_its_depth():
     assert_allclose(sphere_phantoms.sphere_chords_mm(15.0, middle, view), [30.0, 0.0], rtol=1e-12)
 
 
-def test_the_pareto_front_contains_the_points_that_no_other_dominates():
+def test_the_pareto_front_contains_only_points_that_none_dominates():
     points = [(1.0, 5.0), (2.0, 3.0), (2.5, 4.0), (3.0, 3.0), (9.0, 1.0)]
     assert validation_figure.find_pareto_front(points) == [(1.0, 5.0), (2.0, 3.0), (9.0, 1.0)]
 
@@ -95,7 +95,7 @@ def test_the_validation_figure_is_a_png():
     assert validation_figure.plot_error_against_time(rows).startswith(b"\x89PNG")
 
 
-def test_a_finer_spectrum_tolerance_uses_more_nodes_and_is_met():
+def test_a_smaller_spectrum_tolerance_needs_more_energies_and_is_met():
     rows = stage_times.measure_spectrum_nodes((1e-2, 5e-4, 1e-5))
     assert [row["used"] for row in rows] == [False, True, False]
     assert rows[0]["nodes"] < rows[1]["nodes"] < rows[2]["nodes"]
@@ -104,7 +104,7 @@ def test_a_finer_spectrum_tolerance_uses_more_nodes_and_is_met():
 
 
 @pytest.mark.slow
-def test_bone_tessellation_error_is_below_a_fiftieth_of_a_millimetre(monkeypatch):
+def test_the_tessellation_error_of_bones_is_below_0_02_mm_rms(monkeypatch):
     monkeypatch.setattr(tessellation_error, "_REFERENCE_TOLERANCE_MM", 0.008)
     rows = tessellation_error.measure_tessellation_error(coarse_tolerances_mm=(0.1,), refinement_factors=())
     for bone in ("femur", "tibia"):
@@ -116,7 +116,7 @@ def test_bone_tessellation_error_is_below_a_fiftieth_of_a_millimetre(monkeypatch
         assert row["max_mm"] < 0.06
 
 
-def test_the_integration_error_is_bounded_and_falls_with_the_step():
+def test_the_density_integration_error_decreases_with_step_length():
     rows = trabecular_error.measure_integration_steps()
     coarse = [row for row in rows if row["used"]]
     assert [row["turned_deg"] for row in coarse] == [0.0, 5.0, 10.0]
@@ -127,7 +127,7 @@ def test_the_integration_error_is_bounded_and_falls_with_the_step():
         assert second["step_mm"] > first["step_mm"] or second["rms"] < 0.6 * first["rms"]
 
 
-def test_both_engines_spend_part_of_the_trace_on_density_integrals(monkeypatch):
+def test_density_integrals_take_part_of_the_ray_casting_time(monkeypatch):
     small = {"rows": 128, "cols": 128, "pixel_mm": 2.0}
     monkeypatch.setattr(
         trabecular_error, "load_protocol", lambda name: dataclasses.replace(load_protocol(name), **small)
@@ -155,13 +155,13 @@ def test_measured_texture_matches_the_spectrum_of_a_synthetic_field():
     assert stripes["vertical_over_horizontal"] > 3
 
 
-# The SD over mean is .027 for six knees and .031 for 96: only the longer run can test it.
+# The number of knees is 6, or 24 in the slow test, which alone is precise enough for the ratio of SD to mean.
 @pytest.fixture(scope="module", params=[6, pytest.param(24, marks=pytest.mark.slow)])
 def sampled_texture(request):
     return {row["quantity"]: row for row in trabecular_error.compare_texture_with_patients(request.param, 1)}
 
 
-# At these frequencies quantum noise at 2 mAs covers the texture: the slope is flatter than in patient radiographs.
+# Quantum noise at 2 mAs masks the texture above 0.8/mm, so the slope is flatter than in patient radiographs.
 _NOISY = pytest.mark.xfail(
     strict=True, reason="slope above 0.8/mm is -3.7 with detector noise; patient radiographs have -4.4 to -4.0"
 )
@@ -175,7 +175,7 @@ def test_texture_of_sampled_grade_0_knees_matches_patient_radiographs(sampled_te
     row = sampled_texture[quantity]
     if quantity == "sd_over_mean" and row["knees"] < 24:
         pytest.skip("six knees are too few to estimate the SD over mean")
-    # The mean is within the patients' range, widened by a sampling margin of 1.6 standard errors.
+    # The mean must be within the patient range, widened by a sampling margin of 1.6 standard errors.
     margin = 1.6 * (row["p90"] - row["p10"]) / 2.56 / np.sqrt(row["knees"])
     assert row["real_low"] - margin <= row["mean"] <= row["real_high"] + margin
 
@@ -188,7 +188,7 @@ def test_sizes_of_sampled_knees_agree_with_the_literature():
     sizes = [row for row in rows if row["reference"]]
     assert len(sizes) > 30
     # The bound of 1.5 SD allows half an SD of bias and two standard errors (1.0 SD) of the mean of four knees per sex.
-    # The size is compared with the literature or, where patients' bones differ from it, with those.
+    # If patient bones differ from the literature, agreement with either reference is sufficient.
     for row in sizes:
         known = [row["reference"]] + ([row["patients"]] if row["patients"] != "" else [])
         assert min(abs(row["value"] - size) for size in known) < 1.5 * row["reference_sd"], row
@@ -201,7 +201,7 @@ def test_sampled_knees_can_be_built():
     assert -1e-6 < row["min_path_mm"] <= 0
     assert (row["built"], row["failed"], row["first_error"]) == (4, 0, "")
     assert row["jsw_error_mm"] < 1e-3
-    # Skin folds add some 4,000 triangles to a former maximum of 260,000.
+    # The upper bound is 260,000 triangles plus about 4,000 for skin folds.
     assert 100_000 < row["min_triangles"] <= row["max_triangles"] < 264_000
 
 
@@ -224,7 +224,7 @@ def test_an_unknown_validation_table_is_rejected(tmp_path):
 
 
 @pytest.mark.slow
-def test_cold_and_warm_runs_are_measured_in_separate_processes():
+def test_cold_and_warm_runs_are_timed_in_separate_processes():
     rows = stage_times.measure_cold_and_warm_runs(2)
     runs = {row["run"]: row for row in rows if row["engine"] == "embree"}
     assert list(runs) == ["cold", "first", "second"]
@@ -248,7 +248,7 @@ def test_a_cold_run_starts_with_empty_caches_and_writes_bytecode(tmp_path, monke
 
 
 @pytest.mark.slow
-def test_time_fraction_and_error_of_each_imaging_stage_are_measured(monkeypatch, small):
+def test_the_time_and_error_of_each_imaging_stage_are_measured(monkeypatch, small):
     protocol = dataclasses.replace(small, rows=512, cols=512, pixel_mm=0.6)
     monkeypatch.setattr(stage_errors, "load_protocol", lambda name: protocol)
     monkeypatch.setattr(stage_errors, "_PHOTONS", 1_000_000)
@@ -293,7 +293,7 @@ def make_location_row(case, status, kind="study", **measures):
     return {"case": case, "kind": kind, "status": status, "error_mm": 0.5, **usual, **measures}
 
 
-def test_localisation_limits_separate_correct_from_deliberate_errors(monkeypatch):
+def test_localisation_limits_separate_correct_from_simulated_errors(monkeypatch):
     made = [make_location_row("right", "found", scale=scale) for scale in (0.8, 1.0)]
     made += [
         make_location_row("without bones", "no knee", score=both, mean_score=both, orientation_evidence=-0.1)

@@ -26,7 +26,7 @@ from pssf.geometry.view import (
 
 
 @given(angle=st.floats(-20, 20), sod=st.floats(900, 1000), gap=st.floats(10, 200))
-def test_the_central_ray_passes_the_origin_and_the_detector_centre(angle, sod, gap):
+def test_the_central_ray_passes_through_the_origin_and_detector_centre(angle, sod, gap):
     protocol = dataclasses.replace(load_protocol("reference"), beam_angle_deg=angle, sod_mm=sod, sdd_mm=sod + gap)
     view = resolve_view(protocol)
     assert_allclose(np.linalg.norm(view.source_mm), sod)
@@ -39,7 +39,7 @@ def test_a_positive_angle_moves_the_source_proximally():
     assert resolve_view(protocol).source_mm[2] > 0
 
 
-def test_rows_increase_distally_and_columns_towards_plus_x():
+def test_rows_increase_distally_and_columns_in_the_direction_of_plus_x():
     view = resolve_view(load_protocol("reference"))
     (row, col), (up, _), (_, right) = project_points(np.array([[0.0, 0, 0], [0, 0, 10], [10, 0, 0]]), view)
     assert up < row
@@ -47,7 +47,7 @@ def test_rows_increase_distally_and_columns_towards_plus_x():
     assert right - col == pytest.approx(10 * magnification(view) / view.pixel_mm)
 
 
-def test_reference_magnifies_the_joint_plane_by_sdd_over_sod():
+def test_the_reference_magnifies_the_joint_plane_by_sdd_over_sod():
     assert magnification(resolve_view(load_protocol("reference"))) == pytest.approx(1150 / 950)
 
 
@@ -88,7 +88,7 @@ def test_a_view_accepts_lists_and_arrays_as_positions():
     assert {type(part) for part in (*lists.source_mm, *lists.centre_mm)} == {float}
 
 
-def test_only_protocols_and_views_are_resolved_to_a_view():
+def test_only_protocols_and_views_can_be_resolved_to_a_view():
     assert resolve_view(View(**GOOD)) == View(**GOOD)
     scene = Scene([Surface(trimesh.creation.box(extents=3 * [10]), "water", "air")])
     for thing in ("reference", None, {"sdd_mm": 1150}, scene):

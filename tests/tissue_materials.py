@@ -1,4 +1,4 @@
-"""Materials by tissue name, and a limb of such materials."""
+"""Helpers that find materials by name and build a limb of tissues."""
 
 from pssf.data.anatomy.tissue_table import load_tissues
 from pssf.geometry.scene import Scene
@@ -12,7 +12,7 @@ def find_material(name: str) -> Material:
 
 
 def build_limb(thick_mm: float) -> Scene:
-    """Build an elliptic limb from the table of tissues."""
+    """Build an elliptic limb phantom with the tissues of the package."""
     return scatter_phantoms.build_limb(thick_mm, load_tissues())
 
 

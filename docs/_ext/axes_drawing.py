@@ -1,5 +1,5 @@
 # ruff: noqa: E501 - the SVG path of a bone is one long string
-"""Directive that draws the axes, source and detector of a protocol as SVG in the colours of the theme."""
+"""Define a directive that draws the axes, source and detector of a protocol as SVG in the colours of the theme."""
 
 from math import cos, radians, sin
 
@@ -11,7 +11,7 @@ from sphinx.util.typing import ExtensionMetadata
 import pssf
 from pssf.geometry.view import resolve_view
 
-# CSS colours of the theme, which make the drawing legible in light and dark mode.
+# The CSS colours of the theme make the drawing legible in light and dark mode.
 _LINE, _MUTED = "var(--pst-color-text-base)", "var(--pst-color-text-muted)"
 _BEAM, _BONE = "var(--pst-color-primary)", "var(--pst-color-secondary)"
 
@@ -51,7 +51,7 @@ _STYLE = (
 
 
 def draw_side_view() -> str:
-    """Draw source, knee and detector of the protocol reference from the side, to scale.
+    """Draw source, knee and detector of the protocol `reference` from the side, to scale.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def draw_side_view() -> str:
     parts.append(
         _text(tilted[0] + 12, tilted[1] - 4, "beam_angle_deg > 0: source proximal, beam points caudally", "start", "m")
     )
-    # Bones and detector.
+    # Draw the bones and the detector.
     parts.append(
         f'<path class="bone" d="M{origin_x - 22} {place_y(130)} L{origin_x - 16} {place_y(45)} Q{origin_x - 32} {place_y(8)} {origin_x} {place_y(5)} Q{origin_x + 34} {place_y(12)} {origin_x + 12} {place_y(50)} L{origin_x + 8} {place_y(130)}"/>'
     )
@@ -87,13 +87,13 @@ def draw_side_view() -> str:
     parts.append(f'<ellipse class="bone" cx="{origin_x - 38}" cy="{place_y(30)}" rx="8" ry="13"/>')
     parts.append(f'<rect x="{detector_x}" y="{place_y(half)}" width="8" height="{2 * half * scale:.1f}"/>')
     parts.append(_text(detector_x + 14, place_y(-half) + 4, "detector", "start"))
-    # Axes.
+    # Draw the y and z axes of the knee frame.
     parts += _arrow(origin_x, origin_y, origin_x + 62, origin_y) + _arrow(origin_x, origin_y, origin_x, origin_y - 74)
     parts += [
         _text(origin_x + 48, origin_y - 8, "+y", "start", "b"),
         _text(origin_x + 22, origin_y - 64, "+z", "start", "b"),
     ]
-    # Distances.
+    # Draw dimension lines for the source-object and source-detector distances.
     for label, end, y in (
         (f"SOD {protocol.sod_mm:g} mm", origin_x, 330),
         (f"SDD {protocol.sdd_mm:g} mm", detector_x, 358),

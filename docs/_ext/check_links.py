@@ -68,7 +68,7 @@ def check_built_links(app: Sphinx, exception: Exception | None) -> None:
 
 
 def setup(app: Sphinx) -> ExtensionMetadata:
-    """Register the check."""
+    """Register the link check."""
     app.connect("build-finished", check_built_links)
     return {"version": "1", "parallel_read_safe": True, "parallel_write_safe": True}
 
@@ -76,4 +76,4 @@ def setup(app: Sphinx) -> ExtensionMetadata:
 if __name__ == "__main__":
     import sys
 
-    print("\n".join(list_broken_links(Path(sys.argv[1]))) or "every link leads to a file and an anchor")
+    print("\n".join(list_broken_links(Path(sys.argv[1]))) or "every link leads to an existing file and anchor")

@@ -1,4 +1,4 @@
-"""Digests of the code and the data that a measured table depends on."""
+"""Compute digests of the code and data on which a measured table depends."""
 
 import ast
 import hashlib
@@ -15,7 +15,7 @@ def load_package(checkout: Path) -> dict[str, tuple[str, frozenset[str]]]:
     Parameters
     ----------
     checkout : Path
-        Source folder with ``pssf`` in it.
+        Source folder that contains ``pssf``.
 
     Returns
     -------
@@ -30,7 +30,7 @@ def load_package(checkout: Path) -> dict[str, tuple[str, frozenset[str]]]:
     """
     paths = sorted((checkout / "pssf").rglob("*.py"))
     if not paths:
-        raise ValueError(f"checkout must be a source folder with pssf in it, got {checkout}")
+        raise ValueError(f"checkout must be a source folder that contains pssf, got {checkout}")
     modules = {_name_module(path.relative_to(checkout)): path for path in paths}
     parsed = {}
     for name, path in modules.items():
@@ -44,7 +44,7 @@ def load_package(checkout: Path) -> dict[str, tuple[str, frozenset[str]]]:
 
 
 def compute_code_digest(checkout: Path, measured_by: tuple[str, ...]) -> str:
-    """Compute the digest of given modules and of all modules that they import, directly or indirectly.
+    """Compute the digest of the given modules and of all modules that they import, directly or indirectly.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def compute_code_digest(checkout: Path, measured_by: tuple[str, ...]) -> str:
 
 
 def list_reached_modules(checkout: Path, measured_by: tuple[str, ...]) -> list[str]:
-    """List given modules and all modules that they import, directly or indirectly.
+    """List the given modules and all modules that they import, directly or indirectly.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Directive that lists the columns of the CSV files that docs/reference/columns.toml describes."""
+"""Define a directive that lists the columns of the CSV files described in docs/reference/columns.toml."""
 
 import tomllib
 from fnmatch import fnmatch
@@ -35,7 +35,7 @@ def list_unknown_columns(folder: Path) -> list[str]:
     Returns
     -------
     list of str
-        One line per missing description: ``FILE: COLUMN``, or ``FILE`` if the whole file is not described.
+        One line per missing description: ``FILE: COLUMN``, or ``FILE`` if no column of the file is described.
     """
     import csv
 
@@ -54,7 +54,7 @@ def list_unknown_columns(folder: Path) -> list[str]:
 
 
 class ColumnList(SphinxDirective):
-    """List the files of one group with the meaning of every column."""
+    """List the CSV files of one group with the meaning of every column."""
 
     required_arguments = 1
 

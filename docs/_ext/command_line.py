@@ -1,4 +1,4 @@
-"""Directive that lists every command and option of the command line, read from the Typer application itself.
+"""Define a directive that lists every command and option, as read from the Typer application.
 
 The extension `sphinxcontrib-typer` cannot be used: it needs the terminal output of Rich, which this application does
 not use, and stops with an AttributeError.

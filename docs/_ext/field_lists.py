@@ -1,4 +1,4 @@
-"""Directives that list the fields of a knee and of a protocol from the tables of the package."""
+"""Define directives that list the fields of a knee and of a protocol from the tables of the package."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -65,7 +65,7 @@ class ProtocolTable(SphinxDirective):
             given.pop("name", None)
             changes = ", ".join(f"{key} = {_show(value)}" for key, value in given.items())
             rows.append((file.stem, base, changes if base else "all fields"))
-        return [make_table(("protocol", "base", "fields that it sets"), rows, (20, 20, 60), literal=(0, 1))]
+        return [make_table(("protocol", "base", "fields set by the protocol"), rows, (20, 20, 60), literal=(0, 1))]
 
 
 def make_table(
@@ -94,7 +94,7 @@ def _show(value: object) -> str:
 
 
 def _describe_missing(row: dict[str, str]) -> str:
-    """Describe a default that the listing lacks: a number of an osteophyte or cyst, or that the field is required."""
+    """Describe the default of a field without a listed default; say that the field is required if it has no default."""
     if "." not in row["field"]:
         return "none; the field is required"
     kind, name = row["field"].split("s.", 1)

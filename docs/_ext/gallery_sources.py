@@ -6,7 +6,7 @@ from typing import Any
 
 
 def write_gallery_sources(docs: Path) -> list[Path]:
-    """Write one file per example into ``_gallery_src``; its docstring shows the picture of the example.
+    """Write one file per example into ``_gallery_src``, with a docstring that shows the picture of the example.
 
     Titles, texts and the names of pictures are in ``gallery.toml``, run times in ``gallery_times.toml``.
 
@@ -23,14 +23,14 @@ def write_gallery_sources(docs: Path) -> list[Path]:
     Raises
     ------
     ValueError
-        If ``gallery.toml`` does not list every script of examples/, or if ``examples`` lacks a picture.
+        If ``gallery.toml`` does not list every script of examples/, or if a listed picture does not exist.
     """
     examples, out = docs.parent / "examples", docs / "_gallery_src"
     entries = tomllib.loads((docs / "gallery.toml").read_text(encoding="utf-8"))
     times = tomllib.loads((docs / "gallery_times.toml").read_text(encoding="utf-8"))
     known, found = set(entries), {path.stem for path in examples.glob("*.py")}
     if known != found:
-        raise ValueError(f"gallery.toml must list every example, once; it differs in: {sorted(known ^ found)}")
+        raise ValueError(f"gallery.toml must list every example once; names that differ: {sorted(known ^ found)}")
     out.mkdir(exist_ok=True)
     for old in out.glob("*.py"):
         if old.stem.split("_", 1)[-1] not in known:

@@ -1,4 +1,4 @@
-"""Directives and commands for the measured tables of the validation pages.
+"""Define directives and commands for the measured tables of the validation pages.
 
 ``measured-table`` and ``measured-picture`` show a table or picture with command, date and machine of its measurement.
 ``stale-tables`` lists tables and pictures that were measured with other code, other data or another command. The
@@ -79,7 +79,7 @@ class StaleTables(SphinxDirective):
             logger.info("stale: %s", format_entry(entry))
         if not stale:
             return [nodes.paragraph(text=f"All {count} tables and pictures are up to date.")]
-        text = f"{len(stale)} of {count} tables and pictures are stale: they were measured before a change."
+        text = f"{len(stale)} of {count} tables and pictures are stale, because code, data or command changed."
         return [nodes.paragraph(text=text), self._make_table(stale)]
 
     def _make_table(self, stale: list[StaleEntry]) -> "nodes.table":
@@ -122,7 +122,7 @@ def format_entry(entry: StaleEntry) -> str:
 
 
 def _make_caption(directive: SphinxDirective, store: TableStore, name: str) -> "list[nodes.Node]":
-    """Make the caption of a table: command, date and machine of its measurement, and evidence of its confirmation."""
+    """Make the caption of a table: command, date and machine of the measurement, and evidence of a confirmation."""
     directive.env.note_reread()
     record = store.load_record(name)
     stale = store.explain_staleness(store.load_layouts()[name])
@@ -173,22 +173,32 @@ def _make_parser() -> argparse.ArgumentParser:
     """Make the parser of the command line."""
     parser = argparse.ArgumentParser(description="Measured tables of the validation pages.")
     commands = parser.add_subparsers(required=True)
-    update = commands.add_parser("update", help="store the tables and pictures that runs measured")
-    update.add_argument("folders", nargs="+", type=Path, metavar="RUN_FOLDER", help="folder given to --out")
+    update = commands.add_parser("update", help="store the tables and pictures measured by the given runs")
     update.add_argument(
-        "--only", nargs="+", default=[], metavar="NAME", help="tables and pictures; patterns such as 'films_*'"
+        "folders", nargs="+", type=Path, metavar="RUN_FOLDER", help="output folder of a run (its --out)"
     )
-    update.add_argument("--checkout", type=Path, help="source folder that made the runs; default: this folder")
+    update.add_argument(
+        "--only",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="names of tables and pictures, or patterns such as 'films_*'",
+    )
+    update.add_argument(
+        "--checkout", type=Path, help="source folder with which the runs were made; default: the folder of this site"
+    )
     update.add_argument(
         "--rename", nargs="+", default=[], metavar="OLD=NEW", help="columns that were renamed after the runs"
     )
     for name in ("command", "date", "machine", "note"):
         update.add_argument(f"--{name}", help=f"{name} of the runs; default: the value in run.json")
     update.set_defaults(run=_update)
-    stale = commands.add_parser("stale", help="list stale tables; exit code 1 if there are any")
+    stale = commands.add_parser("stale", help="list stale tables; exit code 1 if any table is stale")
     stale.set_defaults(run=_list_stale)
-    confirm = commands.add_parser("confirm", help="record that tables are unchanged with the present code and data")
-    confirm.add_argument("names", nargs="+", metavar="NAME", help="tables and pictures; patterns such as 'films_*'")
+    confirm = commands.add_parser("confirm", help="record that tables are unchanged with the current code and data")
+    confirm.add_argument(
+        "names", nargs="+", metavar="NAME", help="names of tables and pictures, or patterns such as 'films_*'"
+    )
     confirm.add_argument("--by", required=True, metavar="TEXT", help="evidence, such as equal hashes of a quick study")
     confirm.set_defaults(run=_confirm)
     return parser

@@ -1,4 +1,4 @@
-"""Check that the API page lists every public name of the package, and no other."""
+"""Check that the API page lists exactly the public names of the package."""
 
 import re
 from pathlib import Path
@@ -17,7 +17,7 @@ def check_api_page(app: Sphinx) -> None:
     public = set(pssf.__all__) - {"__version__"}
     if listed != public:
         raise ExtensionError(
-            f"reference/api.md must list every public name, once; it differs in: {sorted(listed ^ public)}"
+            f"reference/api.md must list every public name exactly once; names that differ: {sorted(listed ^ public)}"
         )
 
 

@@ -24,7 +24,7 @@ def read_blocks(page: Path) -> list[tuple[int, str]]:
     Returns
     -------
     list of (int, str) tuple
-        Code of each block, after the number of its first line in the file, counted from 1.
+        Number of the first line of each block in the file, counted from 1, and code of the block.
     """
     text = page.read_text(encoding="utf-8")
     return [(text.count("\n", 0, found.start(1)) + 1, found.group(1)) for found in _BLOCK.finditer(text)]

@@ -1,4 +1,4 @@
-"""Layouts of the measured tables (``docs/validation/tables.toml``), and the cells of a table from measured rows."""
+"""Load the layouts of the measured tables (``docs/validation/tables.toml``), and format measured rows as cells."""
 
 import csv
 import json
@@ -24,7 +24,8 @@ class Layout:
     command : str
         Command that measures the table or picture.
     measured_by : tuple of str
-        Modules that measure the table or picture, which depends on these modules and on all modules that they import.
+        Modules that measure the table or picture. The code digest covers these modules and all modules that they
+        import.
     file : str
         File in the output folder of the command.
     kind : {"table", "picture"}
@@ -40,17 +41,18 @@ class Layout:
     row_filters : tuple of dict
         Filters, each of which lists the allowed values by column. A row is shown if it passes at least one filter.
     group_by : tuple of str or None
-        Columns by which rows are grouped. Each group is merged into one row, with the further columns ``count``, and
-        ``least_NAME``, ``most_NAME`` and ``total_NAME`` of every other numeric column. An empty tuple merges all rows;
+        Columns by which rows are grouped. Each group becomes one row with the additional columns ``count`` and, for
+        every other numeric column, ``least_NAME``, ``most_NAME`` and ``total_NAME``. An empty tuple merges all rows;
         None merges none.
     value_labels : dict of str to dict of str to str
         Text that is shown instead of a value, keyed by column and then by value.
     pivot_format : str
-        Format of the heading under which the value of a row is shown in a further column; empty for no further columns.
+        Format of the heading of the pivot column that shows the value of a row; empty if the table has no pivot
+        columns.
     headings : tuple of str
-        Headings of the further columns, in order.
+        Headings of the pivot columns, from left to right.
     cell_format : str
-        Format of the cells in the further columns.
+        Format of the cells in the pivot columns.
     """
 
     name: str
@@ -74,14 +76,14 @@ class Layout:
         Returns
         -------
         list of str
-            Headings in their order.
+            Headings, from left to right.
         """
         return [*self.columns, *self.headings]
 
     def format_cells(self, rows: Sequence[Row]) -> list[list[str]]:
         """Format the cells of the table.
 
-        In a layout with further columns, rows with equal cells in the first columns are shown in one line.
+        In a layout with pivot columns, rows with equal cells in all other columns share one line.
 
         Parameters
         ----------
@@ -138,7 +140,7 @@ class Layout:
 def load_layouts(path: Path) -> dict[str, Layout]:
     """Load the layouts of all tables and pictures.
 
-    An entry with the key ``like`` takes its missing keys from the table that ``like`` names.
+    An entry with the key ``like`` inherits missing keys from the table that ``like`` names.
 
     Parameters
     ----------
@@ -180,7 +182,7 @@ def read_rows(layout: Layout, folder: Path, renamed: Mapping[str, str]) -> list[
     folder : Path
         Output folder.
     renamed : mapping of str to str
-        Present name of each renamed column, keyed by its earlier name.
+        Current name of each renamed column, keyed by its earlier name.
 
     Returns
     -------
@@ -213,7 +215,7 @@ def read_rows(layout: Layout, folder: Path, renamed: Mapping[str, str]) -> list[
 
 
 class _CellFormatter(string.Formatter):
-    """Formatter for cells that extends `str.format`: missing values give an empty text."""
+    """Extend `str.format` for table cells: format missing values as an empty text."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
         """Format a value; return an empty text for None, "" and NaN."""
@@ -226,7 +228,7 @@ class _CellFormatter(string.Formatter):
 
 
 def _summarise(group: Sequence[Row], by: Sequence[str]) -> dict[str, Any]:
-    """Summarise a group as its first row, the count, and the minimum, maximum and sum of each numeric column."""
+    """Summarise a group by its first row, its row count, and the minimum, maximum and sum of each numeric column."""
     summary: dict[str, Any] = {**group[0], "count": len(group)}
     for name in group[0]:
         numbers = [row[name] for row in group if isinstance(row[name], int | float)]

@@ -1,4 +1,4 @@
-"""Store of the tables and pictures of the validation pages, each with a record of its measurement.
+"""Store the tables and pictures of the validation pages, each with a record of its measurement.
 
 Tables are CSV files and pictures are PNG files in ``docs/validation/tables``. A JSON file of the same name contains
 command, date, machine and note of the measurement, and digests of code, data and command. If the table was confirmed
@@ -21,7 +21,7 @@ from table_layout import Layout, load_layouts, read_rows
 from pssf.io.run_record import describe_machine
 
 ROOT = Path(__file__).resolve().parents[2]
-# Digest of tables that were measured before digests were recorded.
+# Value that replaces the digest of tables that were measured before digests were recorded.
 UNKNOWN = "unknown"
 # Command options that do not change a result.
 _IRRELEVANT = ("--out", "--workers", "--scheduler", "--readme")
@@ -65,7 +65,7 @@ class TableStore:
     Parameters
     ----------
     root : Path
-        Source folder, with ``pssf`` and ``docs`` in it.
+        Source folder that contains ``pssf`` and ``docs``.
     """
 
     root: Path = ROOT
@@ -92,7 +92,7 @@ class TableStore:
         """Load the record of a stored table or picture."""
         path = self._record_file(name)
         if not path.exists():
-            raise ValueError(f"table {name} must be in {path.parent}, got none: measure it, then run `update`")
+            raise ValueError(f"table {name} is missing in {path.parent}: measure the table, then run `update`")
         record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         return record
 
@@ -138,7 +138,7 @@ class TableStore:
         checkout : Path or None
             Source folder with which the run was made; None for `root`.
         renamed : mapping of str to str, optional
-            Present name of each renamed column, keyed by its earlier name.
+            Current name of each renamed column, keyed by its earlier name.
         origin : mapping of str to str
             Command, date, machine or note that replace the values in run.json.
 
@@ -159,14 +159,14 @@ class TableStore:
         path = folder / "run.json"
         run = {"note": "", **(json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}), **origin}
         if "command" not in run:
-            raise ValueError(f"folder {folder} must have a run.json, got none: give --command")
+            raise ValueError(f"folder {folder} contains no run.json: specify its command with --command")
         updated, skipped = [], []
         for name, layout in self.load_layouts().items():
             source = folder / layout.file.partition("#")[0]
             if (names and name not in names) or not source.exists():
                 continue
             if not is_command_of(layout.command, run["command"]):
-                skipped.append(f"{name}: not updated, since it is measured by `{layout.command}`")
+                skipped.append(f"{name} is not updated, because it is measured by `{layout.command}`")
                 continue
             self._store(layout, folder, renamed or {})
             facts = {"command": layout.command, **{key: run[key] for key in ("date", "machine", "note") if key in run}}
@@ -177,7 +177,7 @@ class TableStore:
         return updated, skipped
 
     def confirm(self, name: str, evidence: str, day: str) -> None:
-        """Record that a table is unchanged with the present code and data.
+        """Record that a table is unchanged with the current code and data.
 
         Parameters
         ----------
@@ -271,7 +271,7 @@ class TableStore:
 
 
 def is_command_of(wanted: str, command: str) -> bool:
-    """Return whether two commands measure the same; output folder and number of workers are ignored.
+    """Return whether two commands measure the same tables; output folder and number of workers are ignored.
 
     Parameters
     ----------
@@ -283,12 +283,13 @@ def is_command_of(wanted: str, command: str) -> bool:
     Returns
     -------
     bool
-        True if the two commands measure the same.
+        True if the two commands measure the same tables.
     """
     name, options = _parse_command(wanted)
     run_name, run_options = _parse_command(command)
     if name == "validate":
-        # The tables of a run are independent of each other. Tables whose command omits --knees do not depend on it.
+        # The tables of a run are independent of each other. Tables whose command omits --knees do not depend on this
+        # option.
         tables = run_options.get("--tables", options["--tables"]).split(",")
         run_options["--tables"] = options["--tables"] if options["--tables"] in tables else ""
         if "--knees" not in shlex.split(wanted):
@@ -300,7 +301,7 @@ def is_command_of(wanted: str, command: str) -> bool:
 
 
 def _parse_command(command: str) -> tuple[str, dict[str, str]]:
-    """Parse a command line of pssf or python: its command, and its options with their defaults."""
+    """Parse a pssf or python command line into the command and its options, with default values."""
     words = shlex.split(command)
     if "pssf" in words:
         words = words[words.index("pssf") + 1 :]
@@ -312,7 +313,7 @@ def _parse_command(command: str) -> tuple[str, dict[str, str]]:
     rest = iter(words[1:])
     for word in rest:
         if not word.startswith("-"):
-            continue  # A word that is no option is the output folder of a script.
+            continue  # A positional argument is the output folder of a script.
         option, equals, value = word.partition("=")
         options[option] = value if equals else next(rest, "")
     for option in _IRRELEVANT:

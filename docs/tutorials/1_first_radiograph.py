@@ -2,7 +2,7 @@ r"""
 1. First radiograph and its labels
 ==================================
 
-In this lesson you simulate one radiograph, display it, and read its labels. It takes a few seconds.
+In this lesson you simulate one radiograph, display it, and read its labels. The lesson takes a few seconds.
 """
 
 # %%
@@ -29,9 +29,9 @@ print("osteophytes:", [(one.site, round(one.size_mm, 1)) for one in knee.osteoph
 # Choose a protocol
 # -----------------
 #
-# A protocol contains technique, geometry and detector. ``fixed_flexion`` is the view of osteoarthritis trials. Its
-# detector has 2048 x 2048 pixels. ``resample(512)`` keeps the field size and makes the pixels larger, so this page is
-# built quickly. **For the full matrix, omit** ``.resample(512)``.
+# A protocol contains technique, geometry and detector. ``fixed_flexion`` is the view of osteoarthritis trials. The
+# detector of this protocol has 2048 x 2048 pixels. ``resample(512)`` keeps the field size and makes the pixels larger,
+# so this page is built quickly. **For the full matrix, omit** ``.resample(512)``.
 
 protocol = pssf.load_protocol("fixed_flexion").resample(512)
 print(protocol.tube_kv, "kV,", protocol.mas, "mAs, pixels of", protocol.pixel_mm, "mm")
@@ -49,9 +49,9 @@ print(radiograph)
 # Linear pixels and display image
 # -------------------------------
 #
-# ``radiograph.pixels`` are *for processing*: 16 bit, linear in the absorbed energy, air bright. Use these pixels for
-# measurements. ``render_for_display`` makes the image *for presentation*: bone bright, with the contrast of a
-# clinical system.
+# ``radiograph.pixels`` are *for processing*: 16 bits, linear in the absorbed energy, air bright. Use these pixels for
+# measurements. ``render_for_display`` makes the image *for presentation*: bone bright, with the contrast of a clinical
+# system.
 
 shown = pssf.render_for_display(radiograph, processing="processed")
 figure, axes = plt.subplots(1, 2, figsize=(9, 4.6), layout="constrained")
@@ -67,8 +67,8 @@ for one in axes:
 # ---------------
 #
 # ``radiograph.truth`` contains the labels of this radiograph. The labels come from the solids, not from the image. The
-# specified joint space is defined in one posture. This radiograph has another posture, so its minimum joint space
-# differs from the specified joint space.
+# specified joint space is defined in one posture. The radiograph of this lesson has another posture, so its minimum
+# joint space differs from the specified joint space.
 
 truth = radiograph.truth
 print("KL grade:", truth.grade, "| grade of a simulated reader:", truth.reader_grade)

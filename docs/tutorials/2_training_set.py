@@ -45,8 +45,8 @@ run_pssf(
 )  # fmt: skip
 
 # %%
-# The folder has the images, the masks, one record per knee, and ``manifest.csv`` with one row per radiograph. Repeat
-# the command to continue an interrupted run.
+# The folder contains the images, the masks, one record per knee, and ``manifest.csv`` with one row per radiograph.
+# Repeat the command to continue an interrupted run.
 
 for path in sorted(work.glob("cohort/*")):
     print(path.name)
@@ -56,8 +56,8 @@ for row in rows:
     print(row["file"], "KL", row["grade"], "medial", row["jsw_medial_mm"], "mm", row["side"])
 
 # %%
-# Subjects are numbered at random, so no file name predicts a grade. If a knee cannot be built, the cohort stops
-# with an error that names the fields; use another seed.
+# Subjects are numbered at random, so no file name predicts a grade. If a knee cannot be built, the cohort stops with an
+# error that names the conflicting fields; use another seed.
 #
 # Export the labels
 # -----------------
@@ -76,8 +76,8 @@ print(keypoints["categories"][0]["keypoints"])
 # Load a batch
 # ------------
 #
-# Any library can read these files. The following code loads a batch with numpy and Pillow. The grade is the name of
-# the folder. With torchvision, use ``ImageFolder("runs/labels/images")``.
+# Any image library can read the exported files. The following code loads a batch with numpy and Pillow. The grade is
+# the name of the folder. With torchvision, use ``ImageFolder("runs/labels/images")``.
 
 files = sorted(work.glob("labels/images/*/*.png"))
 images = np.stack([np.asarray(Image.open(path), dtype=np.float32) / 255 for path in files])

@@ -2,8 +2,8 @@ r"""
 3. Your own meshes and protocol, with an implant
 ================================================
 
-In this lesson you build a scene from closed meshes, write a protocol of your own, and insert an implant into a
-simulated knee. Images have 256 x 256 pixels here. **For the full size, set** ``MATRIX = 2048``.
+In this lesson you build a scene from closed meshes, write your own protocol, and insert an implant into a
+simulated knee. The images of this lesson have 256 x 256 pixels. **For the full size, set** ``MATRIX = 2048``.
 """
 
 import tempfile
@@ -23,7 +23,7 @@ work = Path(tempfile.mkdtemp())
 # -----------------
 #
 # A scene is a list of closed surfaces in millimetres. Each surface names the material inside and the material that
-# surrounds it. Here the meshes are made by trimesh; ``pssf.read_mesh("leg.stl")`` reads a file.
+# surrounds it. In this example, trimesh makes the meshes; ``pssf.read_mesh("leg.stl")`` reads a file.
 
 leg = trimesh.creation.cylinder(radius=50, height=240, sections=96)
 shaft = trimesh.creation.cylinder(radius=14, height=230, sections=96)
@@ -40,8 +40,8 @@ scene = pssf.Scene(
 # A protocol of your own
 # ----------------------
 #
-# A protocol is a TOML file. ``base`` refers to another protocol, and the file gives only the differences. All fields
-# are listed in :doc:`/reference/protocol_fields`.
+# A protocol is a TOML file. ``base`` refers to another protocol, and the file contains only the values that differ. All
+# fields are listed in :doc:`/reference/protocol_fields`.
 
 text = """
 base = "reference"

@@ -15,12 +15,12 @@ run a command of the last section.**
 # the joint line, trains and tests models, and writes tables and a report. Data are split by subject, so both knees of
 # a subject are in the same set.
 #
-# Run it
-# ------
+# Run the study
+# -------------
 #
 # ``make_experiment`` makes the radiographs, ``run_experiment`` runs the study. ``knees`` are the numbers of knees of
-# grade 0, 1 and 2. Parts that are left out take no run time. This example has one protocol, one feature selection and
-# one classifier.
+# grade 0, 1 and 2. Omitted components need no run time. This example has one protocol, one feature selection and one
+# classifier.
 
 # sphinx_gallery_thumbnail_path = 'validation/tables/robustness.png'
 import re
@@ -79,7 +79,7 @@ print(result.localisation.iloc[:, :8].to_string())
 # ------
 #
 # Each row is one arm: task, training and test protocol, classifier and selection. The 95 % intervals come from the
-# variation over the splits. With so few subjects they are wide or missing.
+# variation over the splits. With so few subjects, the intervals are wide or missing.
 
 columns = ["task", "trained_on", "tested_on", "model", "selection", "auc", "auc_low", "auc_high", "test_subjects"]
 print(result.scores[columns].head(6).round(2).to_string())

@@ -32,6 +32,7 @@ from .bones.parameter_conflicts import explain_conflicts
 from .bones.shell_checks import check_nesting
 from .knee_trabeculae import build_bone_texture
 from .labels.lateral_axial_labels import measure_lateral_axial_labels
+from .labels.osteophyte_faces import select_osteophyte_faces
 from .labels.radiograph_labels import build_osteophyte_meshes, measure_jsw_mm, measure_labels
 from .labels.surgery_labels import (
     compute_labels_after_surgery,
@@ -72,7 +73,7 @@ class BuiltKnee(SurgicalMethods):
     cysts : dict of str to list of CystSolids
         Cysts of each bone in the frame of the leg, before surgery.
     attrition : Mapping of str to float, or None
-        Depth of wear of the medial and lateral plateau, in mm; None if it has not been measured yet.
+        Depth of wear of the medial and lateral plateau, in mm. None until the wear is measured.
     beam_range_deg : tuple of float
         Smallest and largest allowed tilt of the central ray, in degrees.
     oarsi_thresholds : OarsiThresholds
@@ -91,7 +92,7 @@ class BuiltKnee(SurgicalMethods):
     oarsi_thresholds: OarsiThresholds
     surgery: tuple[SurgicalStep, ...] = ()
 
-    # Earlier names of these methods stay valid for one version.
+    # The deprecated names of these methods remain valid for one version.
     truth_in = renamed_attribute("compute_truth_in_view")
     measured_jsw_mm = renamed_attribute("measure_jsw_mm")
     osteophytes = renamed_attribute("osteophyte_meshes")
@@ -136,7 +137,7 @@ class BuiltKnee(SurgicalMethods):
         Warns
         -----
         SurgeryNotice
-            If surgery makes labels meaningless. The result lacks these labels.
+            If surgery makes some labels meaningless. These labels are absent from the result.
         """
         return (
             compute_labels_after_surgery(self, view)
@@ -145,7 +146,7 @@ class BuiltKnee(SurgicalMethods):
         )
 
     def compute_labels(self, scene: Scene, solids: dict[str, Bone], view: View) -> Truth:
-        """Measure the labels in a view for given surfaces and bones, ignoring surgery.
+        """Measure the labels in a view from the specified surfaces and bones, ignoring surgery.
 
         Parameters
         ----------
@@ -172,7 +173,7 @@ class BuiltKnee(SurgicalMethods):
 
     @cached_property
     def _grade_readings(self) -> dict[str, float]:
-        """OARSI grades and alignment angles, which do not depend on the view."""
+        """Return OARSI grades and alignment angles, which do not depend on the view."""
         form = self.assembly.bone_parameters.tables
         return {
             **compute_oarsi_grades(self.knee, self._attrition_by_side_mm, self.oarsi_thresholds, form.trabecular_bone),
@@ -190,7 +191,7 @@ class BuiltKnee(SurgicalMethods):
         Returns
         -------
         Protocol
-            Protocol with the beam angle for this knee, or `protocol` itself if its beam is horizontal.
+            Protocol with the beam angle for this knee, or unchanged `protocol` if its beam is horizontal.
 
         Raises
         ------
@@ -204,7 +205,7 @@ class BuiltKnee(SurgicalMethods):
         )
 
     def inter_margin_mm(self, protocol: Protocol) -> float:
-        """Measure how far the anterior margin of the medial plateau is above its posterior margin.
+        """Measure the height of the anterior margin of the medial plateau above its posterior margin.
 
         Parameters
         ----------
@@ -228,7 +229,7 @@ class BuiltKnee(SurgicalMethods):
 
     @cached_property
     def _attrition_by_side_mm(self) -> Mapping[str, float]:
-        """Depth of wear of the medial and the lateral plateau, in mm."""
+        """Return the depth of wear of the medial and lateral plateau, in mm."""
         # The wear is measured in the pose that defines JSW, so it is the same for every protocol.
         return measure_attrition_mm(self.assembly) if self.attrition is None else self.attrition
 
@@ -277,28 +278,48 @@ class BuiltKnee(SurgicalMethods):
         return build_cyst_meshes(self.cysts, self.assembly)
 
     def part_meshes(self) -> dict[str, Mesh]:
-        """Build the meshes from which masks are rendered.
+        """Build a closed mesh of each part of the knee.
 
         Returns
         -------
         dict of str to Mesh
-            Closed surface of each bone, osteophyte, cyst site and implant in the knee frame, in mm. Bones are given
-            after surgery; a bone that is removed entirely is absent.
+            Closed surface of each bone, osteophyte, cyst site and implant in the knee frame, in mm. The meshes show the
+            bones after surgery; a bone that surgery removes entirely is absent.
         """
-        solids = {surface.name: surface.mesh_arrays for surface in self.scene.surfaces if surface.name in BONES}
-        solids |= {f"{site}_osteophyte": mesh for site, mesh in self.osteophyte_meshes().items()}
-        solids |= {f"{site}_cyst": mesh for site, mesh in self.cyst_meshes().items()}
-        return apply_surgery_to_parts(solids, self.scene, self.surgery)
+        return apply_surgery_to_parts(self._collect_parts(self.osteophyte_meshes()), self.scene, self.surgery)
+
+    def mask_meshes(self) -> dict[str, Mesh]:
+        """Build the meshes whose silhouettes are the masks.
+
+        Returns
+        -------
+        dict of str to Mesh
+            Surface of each bone, osteophyte, cyst site and implant in the knee frame, in mm. The surface of an
+            osteophyte that surgery does not cut is open: it consists of the bone faces that the osteophyte raises.
+        """
+        faces = {f"{site}_osteophyte": mesh for site, mesh in select_osteophyte_faces(self.knee, self.assembly).items()}
+        if not self.surgery:
+            return self._collect_parts({}) | faces
+        # Surgery returns the same object for a mesh that it does not cut.
+        before = self._collect_parts(self.osteophyte_meshes())
+        after = apply_surgery_to_parts(before, self.scene, self.surgery)
+        return {name: faces.get(name, mesh) if mesh is before.get(name) else mesh for name, mesh in after.items()}
+
+    def _collect_parts(self, osteophytes: dict[str, Mesh]) -> dict[str, Mesh]:
+        """Collect the meshes of the bones of the scene, of osteophytes by site, and of cysts, keyed by mask name."""
+        parts = {surface.name: surface.mesh_arrays for surface in self.scene.surfaces if surface.name in BONES}
+        parts |= {f"{site}_osteophyte": mesh for site, mesh in osteophytes.items()}
+        return parts | {f"{site}_cyst": mesh for site, mesh in self.cyst_meshes().items()}
 
     def __copy__(self) -> "BuiltKnee":
         return self
 
     def __deepcopy__(self, memo: dict[int, Any]) -> "BuiltKnee":
-        return self  # The object is immutable, so a copy would be identical.
+        return self  # BuiltKnee is immutable, so a copy would be identical.
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # Solids of manifold3d cannot be pickled. The receiving process builds the solids again by the same steps and
-        # obtains the same bytes. A scene is pickled only if it differs from the scene that `build` makes.
+        # Solids of manifold3d cannot be pickled. The process that unpickles the knee therefore rebuilds the solids,
+        # with identical bytes. The scene is pickled only if it differs from the scene that `build` makes.
         own = self.__dict__.get("_scene_as_built") is self.scene
         return build_in_posture, (self.knee, self.assembly.posture, None if own else self.scene, self.surgery)
 
@@ -329,8 +350,8 @@ def build(knee: Knee, protocol: Protocol | None = None) -> BuiltKnee:
     Raises
     ------
     InputError
-        If `knee` is not a Knee or `protocol` is not a Protocol. Also if parameters leave too little space for a solid;
-        the message names these parameters.
+        If `knee` is not a Knee or `protocol` is not a Protocol. Also if the parameters leave too little space for a
+        solid; the message then names these parameters.
 
     Examples
     --------
@@ -377,8 +398,8 @@ def build_in_posture(
     """
     form = resolve_bone_parameters(knee, load_anatomy_tables())
     bone_shells.prepare_template_bones(form)
-    # The thread pool runs only functions that create no solid of the scene. If two threads created solids, the order of
-    # the triangles would vary from run to run.
+    # The thread pool runs only functions that do not create solids of the scene. If two threads created solids, the
+    # order of the triangles would vary from run to run.
     with ThreadPoolExecutor(2) as aside:
         shells = aside.submit(bone_shells.compute_cortex_depths_mm, form)
         assembly = assemble_knee(knee, form, posture, load_jsw_protocol(knee))
@@ -421,7 +442,7 @@ def _build_surfaces(
     cartilage: "Future[tuple[CoveredBone, CoveredBone]]",
     executor: Executor,
 ) -> list[Surface]:
-    """Build all surfaces of the scene; every surface comes after the surface that encloses it."""
+    """Build all surfaces of the scene in an order in which each surface follows the surface that encloses it."""
     shape, pose = assembly.bone_parameters, assembly.pose
     solids = {name: part.solids for name, part in placed_bones.items()}
     points_mm = np.vstack([part.outer.to_mesh64().vert_properties[:, :3] for part in solids.values()])

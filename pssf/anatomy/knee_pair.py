@@ -66,18 +66,18 @@ class BuiltPair:
         )
         return right, left
 
-    def part_meshes(self) -> tuple[dict[str, Mesh], dict[str, Mesh]]:
-        """Build the meshes from which masks are rendered.
+    def mask_meshes(self) -> tuple[dict[str, Mesh], dict[str, Mesh]]:
+        """Build the meshes whose silhouettes are the masks.
 
         Returns
         -------
         right : dict of str to Mesh
-            Closed surface of each bone and osteophyte of the right knee in the frame of the scene, in mm.
+            Surface of each bone, osteophyte, cyst site and implant of the right knee in the frame of the scene, in mm.
         left : dict of str to Mesh
-            Closed surface of each bone and osteophyte of the left knee in the frame of the scene, in mm.
+            Surface of each bone, osteophyte, cyst site and implant of the left knee in the frame of the scene, in mm.
         """
         right, left = (
-            {name: _shift_mesh(mesh, x) for name, mesh in built.part_meshes().items()}
+            {name: _shift_mesh(mesh, x) for name, mesh in built.mask_meshes().items()}
             for built, x in zip(self.knees, _compute_origins_x_mm(self.knee_distance_mm), strict=True)
         )
         return right, left
@@ -112,7 +112,7 @@ def build_pair(right: Knee | BuiltKnee, left: Knee | BuiltKnee, protocol: Protoc
             raise InputError(f"knees must be a right and a left Knee in this order, got {what} as the {side} knee")
     if not protocol.knee_distance_mm:
         raise InputError(
-            f"knee_distance_mm must be above 0 mm for two knees, got 0 mm: use another protocol than {protocol.name}"
+            f"knee_distance_mm must be above 0 mm for two knees, got 0 mm: protocol {protocol.name} is for one knee"
         )
     if protocol.beam_along != "horizontal":
         raise InputError(
@@ -130,7 +130,7 @@ def build_pair(right: Knee | BuiltKnee, left: Knee | BuiltKnee, protocol: Protoc
 
 
 def _unwrap_knee(knee: Knee | BuiltKnee) -> Knee:
-    """Return the parameters of a knee that is given as a Knee or a BuiltKnee."""
+    """Return the parameters of a Knee or of a BuiltKnee."""
     return knee.knee if isinstance(knee, BuiltKnee) else knee
 
 
@@ -154,8 +154,8 @@ def _shift_surfaces(built: BuiltKnee, x_mm: float) -> list[Surface]:
     known: dict[int, Density] = {}
 
     def moved(density: Density | None) -> Density | None:
-        # Surfaces with a common density object also share its shifted copy, because an engine integrates such surfaces
-        # together.
+        # If several surfaces use one density object, their shifted copies also use one object, because ray casting
+        # integrates these surfaces together.
         return density and known.setdefault(id(density), TranslatedDensity(density=density, offset_mm=(x_mm, 0.0, 0.0)))
 
     side = built.knee.side

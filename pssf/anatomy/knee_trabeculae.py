@@ -18,7 +18,7 @@ def make_texture(knee: Knee) -> None:
 
     Notes
     -----
-    Only ray casting needs the struts. A separate thread can therefore compute them while the knee is built.
+    Only ray casting needs the struts, so a separate thread can compute them while the knee is built.
     """
     make_struts(
         load_anatomy_tables().trabecular_bone,

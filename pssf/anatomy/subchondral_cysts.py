@@ -25,19 +25,21 @@ WALL_MM = 0.3
 _CLEARANCE_MM = 0.3
 # Step of the search for the smallest possible depth of a cyst below the subchondral bone plate, in mm.
 _STEP_MM = 0.25
-# Largest depth of this search, in mm.
+# Largest depth of a cyst below the subchondral bone plate in the search, in mm.
 _DEEPEST_MM = 16.0
-# Inward shifts of the search where a tapering bone has too little space, as fractions of the distance to `_INNERMOST`.
+# Inward shifts of a cyst that are tried if a tapering bone has too little space, as fractions of the distance to
+# `_INNERMOST`.
 _INWARDS = (0.0, 0.125, 0.25, 0.375, 0.5, 0.75, 1.0)
-# Innermost location of the search, on the scale of `Cyst.outward`, dimensionless.
+# Location to which the largest inward shift moves a cyst, on the scale of `Cyst.outward`, dimensionless.
 _INNERMOST = 0.3
 # Additional depth of a cyst below a worn plateau, in mm. The depth of wear differs slightly between postures.
 _WEAR_MARGIN_MM = 1.0
 # Height of the bone layer at the joint surface in which the antero-posterior range of a compartment is measured, in mm.
 _LAYER_MM = 8.0
-# Half width of the sagittal strip of vertices in which this range is measured, in mm.
+# Half width of the sagittal strip of vertices in which the antero-posterior range of a compartment is measured, in mm.
 _BESIDE_MM = 4.0
-# Position of a cyst whose `Cyst.place` is -1 or +1, as a fraction of half the antero-posterior range.
+# Distance of a cyst with `Cyst.place` = -1 or +1 from the centre of a compartment, as a fraction of half the
+# antero-posterior range.
 _PLACE_FRACTION = 0.6
 # Segments per great circle of a sphere mesh. The mesh has 0.6 % less volume than the sphere.
 _SPHERE_SEGMENTS = 64
@@ -186,11 +188,11 @@ def _place_cyst(
 
 
 def _has_room(wall: Manifold, bone: Bone, earlier_cysts: list[CystSolids]) -> bool:
-    """Test whether a cyst wall is inside the trabecular bone, and outside the canal and earlier cysts."""
+    """Test whether a cyst wall is entirely within the trabecular bone and clear of the canal and earlier cysts."""
     left = (wall - bone.inner).volume() > 0
     return not left and not any((wall ^ other).volume() > 0 for other in _list_obstacles(bone, earlier_cysts))
 
 
 def _list_obstacles(bone: Bone, earlier_cysts: list[CystSolids]) -> list[Manifold]:
-    """List the solids within the trabecular bone that a cyst must not touch."""
+    """List the solids within the trabecular bone that a cyst must not intersect: the canal and earlier cysts."""
     return [solid for solid in (bone.canal, *(one.wall for one in earlier_cysts)) if solid is not None]

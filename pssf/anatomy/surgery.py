@@ -1,9 +1,9 @@
 """Surgery: implants inserted into a built knee and bone resected from it by Boolean operations.
 
 The volume of an implant is subtracted from every surface that intersects it, and the implant gets its own surface. All
-surfaces therefore stay closed and nested, and ray casting, scatter simulation and exports need no special case.
-Surfaces that contain the implant entirely stay unchanged. The innermost of these surfaces determines the material and
-the density around the implant.
+surfaces therefore stay closed and nested, and ray casting, scatter simulation and exports treat implants like other
+surfaces. Surfaces that contain the implant entirely stay unchanged. The innermost of these surfaces determines the
+material and the density around the implant.
 """
 
 import re
@@ -35,11 +35,11 @@ if TYPE_CHECKING:
     from ..model.radiograph import Truth
 
 
-# Largest volume that connected components of one mesh may share because of rounding errors, in mm3.
+# Largest overlap of the connected components of a mesh that counts as a rounding error, in mm3.
 _MAX_OVERLAP_MM3 = 1e-6
 # Pieces up to this volume, in mm3, are removed as splinters. They are thinner than the rounding error of a path length.
 _SPLINTER_MM3 = 1e-7
-# Pattern of allowed names of implants and resections.
+# Regular expression for allowed names of implants and resections.
 _NAME_PATTERN = r"[A-Za-z0-9][\w-]{0,49}"
 # Suffixes of the mask names of osteophytes and cysts; names of implants must not end with them.
 _RESERVED_SUFFIXES = ("_osteophyte", "_cyst")
@@ -54,7 +54,7 @@ class SurgicalStep:
     Attributes
     ----------
     surface : Surface
-        Closed mesh in the knee frame, in mm, as given by the user, with its name.
+        Closed mesh in the knee frame, in mm, as specified by the user, with its name.
     material : str or None
         Material of the implant; None for a resection.
     """
@@ -69,11 +69,11 @@ class SurgicalStep:
 
     @cached_property
     def solid(self) -> Manifold:
-        """The mesh as a solid, repaired like every mesh of a scene."""
+        """Solid that the mesh bounds, after the repair that is applied to every mesh in a scene."""
         return _convert_to_solid(self.surface)
 
     def __getstate__(self) -> dict[str, Any]:
-        # Solids of manifold3d cannot be pickled. The receiving process builds the solid again.
+        # Solids of manifold3d cannot be pickled. The process that unpickles the step rebuilds the solid.
         return {name: value for name, value in self.__dict__.items() if name != "solid"}
 
     def table(self) -> dict[str, Any]:
@@ -114,7 +114,7 @@ class SurgicalMethods:
         left = dict(self.bones)
         for step in self.surgery:
             vertices, faces = extract_mesh(step.solid)
-            # These operations invert `KneeAssembly.orient_points`.
+            # The points are mapped back to the frame of the leg: the inverse of `KneeAssembly.orient_points`.
             points = vertices * mirror if turn is None else (vertices * mirror) @ turn
             taken = build_solid(points, faces if np.prod(mirror) > 0 else faces[:, ::-1], step.name)
             for name, bone in left.items():
@@ -140,7 +140,7 @@ class SurgicalMethods:
     def insert(self, mesh: "trimesh.Trimesh | Mesh", material: str, *, name: str = "implant") -> Self:
         """Insert an implant into the knee: a screw, plate, nail or component of a total knee replacement.
 
-        The implant displaces everything within its volume: bone with its trabecular density, soft tissue, air and
+        The implant displaces all materials within its volume: bone with its trabecular density, soft tissue, air and
         earlier implants.
 
         Parameters
@@ -164,7 +164,7 @@ class SurgicalMethods:
         Raises
         ------
         InputError
-            If the mesh does not bound a solid, its connected components overlap, or the name is in use.
+            If the mesh does not bound a solid, if its connected components overlap, or if the name is in use.
 
         Warns
         -----
@@ -190,9 +190,10 @@ class SurgicalMethods:
         Parameters
         ----------
         mesh : trimesh.Trimesh or Mesh
-            Closed surface of the volume, in mm, with the requirements of `insert`. Implants inside the volume are kept.
+            Closed surface of the volume, in mm. It must meet the requirements of `insert`. Implants within the volume
+            are not removed.
         name : str, default "resection"
-            Name of the step in `Radiograph.surgery`, with the requirements of `insert`.
+            Name of the step in `Radiograph.surgery`. It must meet the requirements of `insert`.
 
         Returns
         -------
@@ -202,14 +203,15 @@ class SurgicalMethods:
         Raises
         ------
         InputError
-            If `insert` would reject the mesh or the name, or if the volume contains no bone, cartilage or meniscus.
+            If the mesh or the name does not meet the requirements of `insert`, or if the volume contains no bone,
+            cartilage or meniscus.
         """
         step = SurgicalStep(surface=_make_user_surface(self, mesh, "muscle", name), material=None)
         scene = resect_bone(self.scene, step, {one.name for one in self.surgery})
         return self._add_step(step, scene)
 
     def _add_step(self, step: SurgicalStep, scene: Scene) -> Self:
-        """Return the knee with a new scene and one more surgical step."""
+        """Return a copy of the knee with the new scene and one more surgical step."""
         changed: Self = replace(self, scene=scene, surgery=(*self.surgery, step))  # type: ignore[type-var]
         return changed
 
@@ -246,8 +248,8 @@ def insert_body(scene: Scene, step: SurgicalStep) -> Scene:
             met[number] = host
             if _subtract_solid(body, host, step.name).is_empty():
                 around[number] = host.volume()
-    # Visit the surfaces around the implant from outside to inside. A surface is used if the previous surface directly
-    # encloses it.
+    # Visit the surfaces that contain the implant from outside to inside. A surface counts only if the previous surface
+    # directly encloses it.
     outside, density = scene.ambient, None
     for number in sorted(around, key=lambda number: -around[number]):
         surface = scene.surfaces[number]
@@ -270,7 +272,7 @@ def resect_bone(scene: Scene, step: SurgicalStep, implants: Iterable[str] = ()) 
     step : SurgicalStep
         Resection: a step without a material.
     implants : iterable of str, optional
-        Names of the implants, whose surfaces are kept.
+        Names of the implants, whose surfaces stay unchanged.
 
     Returns
     -------
@@ -283,8 +285,8 @@ def resect_bone(scene: Scene, step: SurgicalStep, implants: Iterable[str] = ()) 
         If the volume intersects no bone, cartilage or meniscus.
     """
     kept, left = set(implants), {}
-    # The resected volume excludes the implants, because each implant surface records the bone around it as outside
-    # material.
+    # The implants are excluded from the resected volume, because each implant surface stores the bone around it as its
+    # outside material.
     bodies = [_convert_to_solid(surface) for surface in scene.surfaces if surface.name in kept]
     volume = Manifold.batch_boolean([step.solid, *bodies], manifold3d.OpType.Subtract)
     for number, surface in enumerate(scene.surfaces):
@@ -302,7 +304,7 @@ def resect_bone(scene: Scene, step: SurgicalStep, implants: Iterable[str] = ()) 
 
 
 def replace_surfaces(scene: Scene, remaining: dict[int, Manifold], *new_surfaces: Surface) -> Scene:
-    """Replace some surfaces of a scene by solids and append new surfaces.
+    """Replace some surfaces of a scene with new solids and append new surfaces.
 
     Parameters
     ----------
@@ -329,7 +331,7 @@ def replace_surfaces(scene: Scene, remaining: dict[int, Manifold], *new_surfaces
 
 
 def apply_surgery_to_parts(solids: dict[str, Mesh], scene: Scene, steps: Sequence[SurgicalStep]) -> dict[str, Mesh]:
-    """Subtract the volume of surgical steps from the part meshes of a knee, and add the implants.
+    """Subtract the volumes of surgical steps from the meshes of bones, osteophytes and cysts, and add the implants.
 
     Parameters
     ----------
@@ -358,13 +360,13 @@ def apply_surgery_to_parts(solids: dict[str, Mesh], scene: Scene, steps: Sequenc
 
 
 def _make_user_surface(built: SurgicalMethods, mesh: Any, material: str, name: str) -> Surface:
-    """Check the mesh and the name given by the user, and make a surface with a copy of the arrays."""
+    """Check the mesh and the name specified by the user, and make a surface with a copy of the arrays."""
     if (
         not isinstance(name, str)
         or not re.fullmatch(_NAME_PATTERN, name, re.ASCII)
         or name.endswith(_RESERVED_SUFFIXES)
     ):
-        allowed = f"1 to 50 letters, digits, _ and -, without {' or '.join(_RESERVED_SUFFIXES)} at its end"
+        allowed = f"1 to 50 letters, digits, _ or -, not ending with {' or '.join(_RESERVED_SUFFIXES)}"
         raise InputError(f"name must be {allowed}, got {name!r}")
     used = [surface.name for surface in built.scene.surfaces] + [step.name for step in built.surgery]
     if name in used:
@@ -385,8 +387,8 @@ def _require_disjoint_bodies(surface: Surface) -> None:
     shared = whole - Manifold.batch_boolean(bodies, manifold3d.OpType.Add).volume()
     if len(bodies) > 1 and shared > _MAX_OVERLAP_MM3 + 1e-9 * whole:
         raise InputError(
-            f"{surface.name}: mesh must have connected components that do not overlap, got {len(bodies)} that share "
-            f"{shared:.3g} mm3: insert them one by one or unite them"
+            f"{surface.name}: connected components of the mesh must not overlap, got {len(bodies)} components with "
+            f"{shared:.3g} mm3 of overlap: insert them one by one or unite them"
         )
 
 
@@ -400,7 +402,9 @@ def _subtract_solid(one: Manifold, other: Manifold, name: str) -> Manifold:
     """Subtract one solid from another and remove splinters that remain where their faces coincide."""
     left = one - other
     if left.status() != manifold3d.Error.NoError:
-        raise InputError(f"solid {name}: status of a Boolean operation must be NoError, got {left.status().name}")
+        raise InputError(
+            f"solid {name}: a Boolean operation failed with status {left.status().name}; check the mesh for defects"
+        )
     pieces = left.decompose()
     large = [piece for piece in pieces if abs(piece.volume()) > _SPLINTER_MM3]
     return left if len(large) == len(pieces) else Manifold.compose(large)

@@ -13,10 +13,11 @@ from ..cohort import make_cohort, plan_cohort, select_subjects
 from ..core.processes.execution import Execution
 from ..core.processes.parallel_map import map_in_parallel
 from ..data.analysis.benchmark_table import BenchmarkDefinition, load_benchmark_definition, load_benchmark_hashes
-from ..experiment import load_radiograph_pixels, make_standard_templates
+from ..experiment import load_radiograph_pixels
 from ..io import study_results
 from ..io.cohort_records import hash_file, read_manifest
 from ..simulation import collect_versions
+from ..standard_templates import make_standard_templates
 from ..study import StudySettings, require_extra
 from .image_hashes import count_matching_hashes, format_hashes_toml, hash_subject_pixels
 
@@ -40,11 +41,11 @@ class BenchmarkResult:
     baselines : DataFrame
         Scores of the baselines, with one row per task, predictor and test protocol.
     notes : tuple of str
-        Notes on missing baselines, on splits that are too small, and on variables that predict the grade without the
+        Notes on missing baselines, on splits with too few subjects, and on variables that predict the grade without the
         image.
     hash_agreement : tuple of int
-        Number of subjects whose hash equals the published hash, and number of subjects with a published hash. Both are
-        0 for a changed data set.
+        Number of subjects whose hash equals the published hash, and number of subjects with a published hash. Both
+        numbers are 0 for a changed data set.
     """
 
     folder: Path
@@ -65,7 +66,7 @@ def make_benchmark(
 
     The folder contains the output of `cohort.make_cohort`, and splits.csv, features.csv, baselines.csv,
     predictions.csv, datasheet.md, CITATION.cff, croissant.json and frozen.toml. If a run was interrupted, another call
-    with the same folder continues it.
+    with the same folder resumes it.
 
     Parameters
     ----------
@@ -75,9 +76,9 @@ def make_benchmark(
         Workers, progress display and timer.
     subjects : int, default 0
         Number of subjects, distributed equally over the grades. Their images are the same as in the complete data set.
-        0 makes all subjects.
+        The value 0 selects all subjects.
     overrides : mapping of str to object, optional
-        Entries that replace entries of the preset, as in `cohort.plan_cohort`. The result is then a different data set.
+        New values for entries of the preset, as in `cohort.plan_cohort`. The result is then a different data set.
     engine : {"scanline", "embree"}, default "scanline"
         Ray caster.
 
@@ -89,8 +90,8 @@ def make_benchmark(
     Raises
     ------
     InputError
-        Under the same conditions as in `cohort.make_cohort`. Also if a grade has too few subjects to split, or if no
-        region is located in any training radiograph.
+        Under the same conditions as in `cohort.make_cohort`. Also if a grade has too few subjects for a split, or if
+        the region of interest is not located in any training radiograph.
     WorkersLostError
         If workers are killed repeatedly.
     """
@@ -103,7 +104,8 @@ def make_benchmark(
     frozen = load_benchmark_definition()
     whole = plan_cohort(frozen.preset, seed=frozen.seed, overrides=overrides)
     plan = select_subjects(whole, subjects) if subjects else whole
-    # The planned subjects are split first, so that too few subjects raise an error before hours of work.
+    # The planned subjects are split first, so that too few subjects raise an error before the simulation, which takes
+    # hours.
     split_subjects(*zip(*((case.subject, case.knee.grade) for case in plan.cases), strict=True), seed=frozen.seed)
     with execution.stage("images", "radiographs", sum(len(case.exposures) for case in plan.cases)) as stage:
         how: dict[str, Any] = {"workers": execution.workers, "scheduler": execution.scheduler, "engine": engine}
@@ -136,7 +138,10 @@ def make_benchmark(
 def _compute_baselines(
     out: Path, manifest: "pd.DataFrame", frozen: BenchmarkDefinition, execution: Execution
 ) -> tuple["pd.DataFrame", int, tuple[str, ...]]:
-    """Write splits, features and predictions; return scores, number of radiographs without a region, and notes."""
+    """Write splits, features and predictions.
+
+    Return the scores, the number of radiographs without a region, and notes.
+    """
     from ..study.design.study_tables import load_study_tables
     from ..study.learn import benchmark_baselines as learning
     from ..study.measurement import measure_features
@@ -172,14 +177,14 @@ def _compute_baselines(
     notes = [f"Small CNN: {reason}"] if reason else []
     if not all(tested.has_enough_test_subjects(row) for row in baselines.to_dict("records")):
         few = f"fewer than {tested.MIN_TEST_SUBJECTS} subjects or {tested.MIN_TEST_SUBJECTS_PER_CLASS} of a grade"
-        notes.append(f"Some splits test {few}, too few to compare methods")
+        notes.append(f"Some test subsets have {few}; this is too few to compare methods")
     return baselines, len(table) - len(usable), tuple(notes)
 
 
 def _load_network_inputs(
     usable: "pd.DataFrame", load_pixels: Any, region_px: int, execution: Execution
 ) -> dict[str, NDArray[np.float32]]:
-    """Load the network input of every radiograph with a located region, keyed by the radiograph's name."""
+    """Load the network input of every radiograph with a located region, keyed by the name of the radiograph."""
     rows = usable[["file", "row_px", "col_px", "side"]].to_dict("records")
     with execution.stage("regions for the network", "radiographs", len(rows)) as stage:
         shown = map_in_parallel(
@@ -199,16 +204,16 @@ def prepare_network_input(row: Mapping[str, Any], *, load_pixels: Any, region_px
     Parameters
     ----------
     row : mapping of str to object
-        Columns file, row_px, col_px and side of one radiograph.
+        Values of the columns ``file``, ``row_px``, ``col_px`` and ``side`` for one radiograph.
     load_pixels : callable
-        Function from an entry of the column ``file`` to a (rows, cols) uint16 array, in DN.
+        Function that maps an entry of the column ``file`` to a (rows, cols) uint16 array, in DN.
     region_px : int
         Side length of the region, in pixels.
 
     Returns
     -------
     (size, size) float32 array
-        Network input from the logarithm of the pixel values, as returned by
+        Network input computed from the logarithm of the pixel values, as returned by
         `study.learn.models.small_network.make_network_input`.
     """
     from ..radiomics.localisation.region_of_interest import cut_region

@@ -7,18 +7,18 @@ from ..data.analysis.benchmark_table import BenchmarkDefinition
 
 # Standard to which the metadata conforms.
 CONFORMS_TO = "http://mlcommons.org/croissant/1.0"
-# Subset of a split -> identifier in the Croissant vocabulary.
+# Identifier in the Croissant vocabulary for each subset of a split.
 _SPLIT_URLS = {"training": "cr:TrainingSplit", "validation": "cr:ValidationSplit", "test": "cr:TestSplit"}
-# Column of manifest.csv -> data type and description.
+# Data type and description of each column of manifest.csv.
 _RADIOGRAPH_COLUMNS = {
     "radiograph": ("sc:Text", "Name of the radiograph."),
-    "subject": ("sc:Integer", "Number of the subject; splits are by subject."),
-    "knee": ("sc:Integer", "Number of the knee."),
+    "subject": ("sc:Integer", "Subject number; the data are split by subject."),
+    "knee": ("sc:Integer", "Knee number."),
     "side": ("sc:Text", "Side of the knee, right or left."),
     "sex": ("sc:Text", "Sex, female or male."),
     "age_years": ("sc:Float", "Age, years."),
     "stature_mm": ("sc:Float", "Stature, mm."),
-    "grade": ("sc:Integer", "Label: Kellgren-Lawrence grade, 0 to 4, for which the knee was sampled."),
+    "grade": ("sc:Integer", "Label: Kellgren-Lawrence grade of the sampled knee, 0 to 4."),
     "jsw_medial_mm": ("sc:Float", "Minimum medial joint space width on this radiograph, mm."),
     "jsw_lateral_mm": ("sc:Float", "Minimum lateral joint space width on this radiograph, mm."),
     "nominal_jsw_medial_mm": ("sc:Float", "Specified medial joint space width of the knee, mm."),
@@ -26,16 +26,16 @@ _RADIOGRAPH_COLUMNS = {
     "protocol": ("sc:Text", "Name of the protocol, which includes beam tilt and dose."),
     "beam_angle_deg": ("sc:Float", "Beam angle, degrees; positive is caudal."),
     "tube_kv": ("sc:Float", "Peak tube voltage, kV."),
-    "mas": ("sc:Float", "Tube current times exposure time, mAs; proportional to the dose."),
+    "mas": ("sc:Float", "Tube current-time product, mAs; proportional to the dose."),
     "pixel_mm": ("sc:Float", "Pixel pitch on the detector, mm."),
-    "truth_medial_row_px": ("sc:Float", "Row of the middle of the medial joint space, pixels."),
-    "truth_medial_col_px": ("sc:Float", "Column of the middle of the medial joint space, pixels."),
-    "sha256": ("sc:Text", "SHA-256 hash of the file."),
+    "truth_medial_row_px": ("sc:Float", "Row of the centre of the medial joint space, pixels."),
+    "truth_medial_col_px": ("sc:Float", "Column of the centre of the medial joint space, pixels."),
+    "sha256": ("sc:Text", "SHA-256 hash of the image file."),
 }
-# Column of splits.csv -> data type and description.
+# Data type and description of each column of splits.csv.
 _SPLIT_COLUMNS = {
-    "repeat": ("sc:Integer", "Number of the split."),
-    "subject": ("sc:Integer", "Number of the subject."),
+    "repeat": ("sc:Integer", "Split number."),
+    "subject": ("sc:Integer", "Subject number."),
     "part": ("sc:Text", "Subset of the split: training, validation or test."),
 }
 
@@ -52,7 +52,7 @@ def build_croissant_metadata(
     files : mapping of str to (str, int)
         SHA-256 hash and size in bytes of each CSV file; manifest.csv and splits.csv are required.
     columns : sequence of str
-        Columns of manifest.csv that are described.
+        Columns of manifest.csv to describe.
 
     Returns
     -------
@@ -100,7 +100,7 @@ def _describe_file(name: str, sha256: str, size: int) -> dict[str, Any]:
 
 def _describe_image_set() -> dict[str, Any]:
     """Describe the set of images."""
-    what = "16-bit TIFF images, linear in the absorbed energy, row 0 proximal; manifest.csv has their hashes."
+    what = "16-bit TIFF images, linear in the absorbed energy, with row 0 proximal; manifest.csv lists their hashes."
     where = {"encodingFormat": "image/tiff", "includes": "images/*.tif"}
     return {"@type": "cr:FileSet", "@id": "images", "name": "images", "description": what, **where}
 
@@ -140,8 +140,10 @@ def _describe_image_name_field() -> dict[str, Any]:
         "extract": {"column": "file"},
         "transform": {"regex": "images/(.*)"},
     }
-    # The field has no reference to images_by_name, because a loader would then read every image to list the labels.
-    return _describe_field("radiographs/image", "sc:Text", "File name of the image, the key of images_by_name.", source)
+    # The field does not refer to images_by_name, because a loader would then read every image to list the labels.
+    return _describe_field(
+        "radiographs/image", "sc:Text", "File name of the image; it is the key of images_by_name.", source
+    )
 
 
 def _describe_image_records() -> dict[str, Any]:
@@ -162,7 +164,7 @@ def _describe_split_parts() -> dict[str, Any]:
     """Describe the subsets of a split: training, validation and test."""
     fields = [
         _describe_field("parts/name", "sc:Text", "Name of the subset."),
-        _describe_field("parts/url", "sc:URL", "Purpose of the subset, in the Croissant vocabulary."),
+        _describe_field("parts/url", "sc:URL", "Purpose of the subset, as an identifier of the Croissant vocabulary."),
     ]
     data = [{"parts/name": name, "parts/url": url} for name, url in _SPLIT_URLS.items()]
     said = {"name": "parts", "description": "Subsets of a split.", "dataType": "cr:Split", "key": {"@id": "parts/name"}}

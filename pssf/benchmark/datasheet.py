@@ -24,7 +24,7 @@ class DatasheetContent:
     total_subjects : int
         Number of subjects in the complete data set.
     variant : str
-        Names of replaced preset entries; "" for the unchanged data set.
+        Names of the replaced preset entries; an empty string for the unmodified data set.
     unlocated_radiographs : int
         Number of radiographs in which the joint was not located.
     reference_protocol : str
@@ -32,7 +32,7 @@ class DatasheetContent:
     baselines : DataFrame
         Scores of the baselines (`BenchmarkResult.baselines`).
     notes : sequence of str
-        Notes on missing baselines and on splits that are too small.
+        Notes on missing baselines and on splits with too few subjects.
     warnings : sequence of str
         Warnings from `study.statistics.analyses.leakage_checks.find_leakage_warnings`.
     versions : mapping of str to str
@@ -112,7 +112,7 @@ def render_citation(frozen: BenchmarkDefinition, versions: Mapping[str, str]) ->
 
 
 def _render_template(template: str, **values: Any) -> str:
-    """Render a template of the subpackage `benchmark`; an undefined variable is an error."""
+    """Render a template of the subpackage `benchmark`. An undefined variable raises an error."""
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("pssf.benchmark", "."),
         undefined=jinja2.StrictUndefined,

@@ -1,4 +1,4 @@
-"""Hashes of the radiographs of each subject, for the comparison of two copies of the data set."""
+"""Hashes of the radiographs of each subject, to compare two copies of the data set."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -14,19 +14,19 @@ if TYPE_CHECKING:
 def hash_subject_pixels(manifest: "pd.DataFrame", load_pixels: Callable[[str], NDArray[np.uint16]]) -> dict[str, str]:
     """Hash the pixels and the names of all radiographs of each subject.
 
-    Pixels are hashed instead of files, because a file also contains the versions of the software that made it.
+    The files themselves are not hashed, because they also contain the versions of the software that wrote them.
 
     Parameters
     ----------
     manifest : DataFrame
         Columns subject, radiograph and file, one row per radiograph.
     load_pixels : callable
-        Entry of the column ``file`` -> (rows, cols) uint16 array, in DN.
+        Function that maps an entry of the column ``file`` to a (rows, cols) uint16 array, in DN.
 
     Returns
     -------
     dict of str to str
-        SHA-256 hash of each subject, keyed by the subject's number. Radiographs are hashed in alphabetical order.
+        SHA-256 hash of each subject, keyed by subject number. Radiographs are hashed in alphabetical order.
     """
     digests = {}
     for subject, part in manifest.groupby("subject"):
@@ -46,14 +46,14 @@ def count_matching_hashes(computed: Mapping[str, str], published: Mapping[str, s
     computed : mapping of str to str
         Hash of each subject, from `hash_subject_pixels`.
     published : mapping of str to str
-        Published hash of each subject, from the package.
+        Published hash of each subject, as stored in the package.
 
     Returns
     -------
     matching : int
         Number of subjects with equal hashes.
     compared : int
-        Number of subjects with a computed and a published hash.
+        Number of subjects that have both a computed and a published hash.
     """
     both = computed.keys() & published.keys()
     return sum(computed[name] == published[name] for name in both), len(both)
@@ -72,6 +72,6 @@ def format_hashes_toml(computed: Mapping[str, str]) -> str:
     str
         TOML text.
     """
-    head = "# SHA-256 of the pixels of each subject of benchmark-1, as `pssf benchmark` writes them to frozen.toml.\n"
+    head = "# SHA-256 hash of the pixels of each subject of benchmark-1, written to frozen.toml by `pssf benchmark`.\n"
     lines = [f'"{name}" = "{computed[name]}"' for name in sorted(computed, key=int)]
     return "\n".join([head, "[sha256]", *lines, ""])

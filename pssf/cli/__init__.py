@@ -7,7 +7,7 @@ predict_command     predict
 features_command    features
 measuring_commands  validate, quality, compare-patients, separability, protocols, knees
 explore_command     explore
-shared_options      options that several commands share
+shared_options      options common to several commands
 
 Commands import other modules only when they run, so that the help text appears without delay.
 """
@@ -35,7 +35,7 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 _PYTHON_FORMATWARNING = warnings.formatwarning
-# Current names of options, keyed by former name.
+# Current names of options, keyed by deprecated name.
 _RENAMED_OPTIONS = {
     "--curves": "--curve-knees",
     "--exposure": "--acquisition",
@@ -47,9 +47,9 @@ _RENAMED_OPTIONS = {
     "--shares": "--sobol-samples",
     "--table": "--grade-table",
 }
-# Current values of options, keyed by option and former value.
+# Current values of options, keyed by option and deprecated value.
 _RENAMED_VALUES = {("--acquisition", "drawn"): "sampled", ("--processing", "linear"): "log"}
-# Current names of commands, keyed by former name.
+# Current names of commands, keyed by deprecated name.
 _RENAMED_COMMANDS = {
     "accuracy": "validate",
     "grades": "separability",
@@ -71,7 +71,7 @@ _COMMANDS = (
 
 
 def _show_version(asked: bool) -> None:
-    """Print the version and exit if the option --version is given."""
+    """Print the version and exit if the user passes --version."""
     if asked:
         print(f"pssf {version('pssf')}")
         raise typer.Exit
@@ -92,14 +92,18 @@ app.add_typer(making_commands.cohort_app, name="cohort")
 
 
 def main() -> None:
-    """Run the command line; invalid input ends with one line on standard error and exit code 2."""
+    """Run the command line.
+
+    Invalid input ends the run with one line on standard error and exit code 2.
+    """
     warnings.formatwarning = _format_warning
     try:
         sys.argv[1:] = _replace_renamed_options(sys.argv[1:])
         _require_options_once(sys.argv[1:])
         sys.exit(app(standalone_mode=False))
     except (typer.Abort, KeyboardInterrupt) as error:
-        # The parser raises Abort for an interrupt, and also for the unexpected end of a file, which is an error.
+        # The parser raises Abort for an interrupt and for an unexpected end of a file. Only the end of a file is an
+        # error.
         if isinstance(error.__cause__, EOFError):
             raise error.__cause__ from None
         print("pssf: stopped; run the same command again to continue", file=sys.stderr)
@@ -109,7 +113,7 @@ def main() -> None:
 
 
 def _replace_renamed_options(arguments: list[str]) -> list[str]:
-    """Replace former names of commands, options and values by their current names, with a notice on standard error."""
+    """Replace deprecated names of commands, options and values with current names, with a notice on standard error."""
     named: list[str] = []
     for index, word in enumerate(arguments):
         name, equals, value = word.partition("=")
@@ -121,7 +125,7 @@ def _replace_renamed_options(arguments: list[str]) -> list[str]:
             now = _RENAMED_OPTIONS.get(name, name)
             value = _RENAMED_VALUES.get((now, value), value)
         if now != name:
-            print(f"pssf: {name} is now {now}; the former name will be removed", file=sys.stderr)
+            print(f"pssf: {name} was renamed to {now}; the former name will be removed", file=sys.stderr)
         named.append(now + equals + value)
     return named
 
@@ -129,14 +133,14 @@ def _replace_renamed_options(arguments: list[str]) -> list[str]:
 def _format_warning(
     message: Warning | str, category: type[Warning], filename: str, lineno: int, line: Any = None
 ) -> str:
-    """Format a warning of this package as one line, and any other warning as Python does."""
+    """Format a warning of this package as one line, and any other warning in the default format of Python."""
     if category.__module__.split(".")[0] == "pssf":
         return f"pssf: {message}\n"
     return _PYTHON_FORMATWARNING(message, category, filename, lineno, line)
 
 
 def _require_options_once(arguments: list[str]) -> None:
-    """Require that no option is repeated, because the parser would silently use the last value."""
+    """Raise an error if an option is repeated, because the parser would silently use the last value."""
     given = [word.split("=")[0] for word in arguments if word.startswith("--")]
     twice = sorted({name for name in given if given.count(name) > 1} - {"--"})
     if not twice:
@@ -152,16 +156,16 @@ def _require_options_once(arguments: list[str]) -> None:
     }
     for name in twice:
         if name not in lists:
-            raise InputError(f"{name} must be given once, got it {given.count(name)} times")
+            raise InputError(f"{name} must be used only once, got it {given.count(name)} times")
 
 
 def _is_repeatable(option: Any) -> bool:
-    """Return whether an option may be given several times."""
+    """Test whether an option accepts several values."""
     return getattr(option, "multiple", False) or option.nargs != 1
 
 
 def _report_error(error: Exception) -> int:
-    """Print a user error in one line and return the exit code; raise any other error again."""
+    """Print a user error in one line and return the exit code. Any other error is raised again."""
     from ..core.checks import InputError, format_one_line
     from ..core.processes.worker_processes import WorkersLostError
 
@@ -169,7 +173,7 @@ def _report_error(error: Exception) -> int:
         print(f"pssf: {error}; run the same command again to continue", file=sys.stderr)
         return 1
     if isinstance(error, MemoryError):
-        reason = format_one_line(str(error)) or "of this process"
+        reason = format_one_line(str(error)) or "in this process"
         print(
             f"pssf: not enough memory ({reason}): use fewer rows and cols, or fewer workers",
             file=sys.stderr,
@@ -181,12 +185,12 @@ def _report_error(error: Exception) -> int:
             file=sys.stderr,
         )
         return 2
-    # The error classes of the parser are private, but their method format_message is public.
+    # The error classes of the parser are private, but their method `format_message` is public.
     by_parser = getattr(error, "format_message", None)
     if by_parser is None and not isinstance(error, InputError):
         raise error
     message: str = by_parser() if by_parser else str(error)
-    if by_parser and message.startswith("Usage:"):  # No command was given, so the message is the help.
+    if by_parser and message.startswith("Usage:"):  # Without a command, the message is the help text.
         print(message, file=sys.stderr)
         return 2
     message = format_one_line(message)
@@ -195,7 +199,7 @@ def _report_error(error: Exception) -> int:
 
 
 def _format_field_hint(message: str) -> str:
-    """Return a hint on --set if an unknown option is the name of a field; else an empty text."""
+    """Return a hint about --set if an unknown option is the name of a field, else an empty string."""
     asked = re.match(r"No such option: --([\w-]+)", message)
     if asked is None:
         return ""

@@ -18,12 +18,12 @@ def benchmark(
     out: Out,
     workers: Processes,
     subjects: Annotated[
-        int, typer.Option(help="Number of subjects, equal for all grades, out of the 1,000 subjects; 0: all subjects.")
+        int, typer.Option(help="Number of subjects, distributed equally over the grades; 0 selects all 1,000 subjects.")
     ] = 0,
     protocols: Annotated[
         str,
         typer.Option(
-            help="Names or TOML files of protocols, separated by commas, for trials; the default is fixed_flexion."
+            help="Names or TOML files of protocols for a trial run, separated by commas; default: fixed_flexion."
         ),
     ] = "",
     matrix: Matrix = 0,
@@ -33,8 +33,8 @@ def benchmark(
     """Make the frozen data set benchmark-1: images, fixed splits, baselines, datasheet, citation and Croissant file.
 
     All subjects need 52 GB and 2 h 18 min on two cores; 50 subjects need 2.6 GB and 13 minutes of CPU time. An
-    interrupted run continues where it stopped, and ends with the same bytes. The baselines include a small network if
-    PyTorch is installed.
+    interrupted run continues where it stopped; the final files are byte-identical. The baselines include a small
+    network if PyTorch is installed.
     """
     from ..benchmark import make_benchmark
     from ..core.processes.execution import Execution
@@ -50,5 +50,5 @@ def benchmark(
     for note in made.notes:
         print(note)
     if made.hash_agreement[1]:
-        print(f"frozen    {made.hash_agreement[0]} of {made.hash_agreement[1]} subjects have the frozen hashes")
+        print(f"frozen    {made.hash_agreement[0]} of {made.hash_agreement[1]} subjects have the published hashes")
     print(f"folder    {made.folder}")

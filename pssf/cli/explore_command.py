@@ -14,7 +14,8 @@ def explore(
 ) -> None:
     """Open an interactive page in the browser that shows a knee, its radiograph and its solids, on this machine only.
 
-    The command prints the link to the page and runs until Ctrl-C. It needs the extra explore.
+    The command prints the link to the page and runs until Ctrl-C. It requires the optional dependencies of the extra
+    explore.
     """
     from ..explore import require_extra
 

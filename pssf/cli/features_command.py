@@ -14,18 +14,19 @@ def features(
     *,
     out: Out,
     workers: Processes,
-    pixel_mm: Annotated[float, typer.Option(help="Pixel size in mm; 0: read from each file.")] = 0.0,
-    bins: Annotated[int, typer.Option(help="Number of grey-level bins of texture features.")] = 64,
-    families: Annotated[str, typer.Option(help="Families of features, separated by commas; all by default.")] = "",
+    pixel_mm: Annotated[float, typer.Option(help="Pixel size in mm; 0 reads it from each file.")] = 0.0,
+    bins: Annotated[int, typer.Option(help="Number of grey-level bins for texture features.")] = 64,
+    families: Annotated[str, typer.Option(help="Feature families, separated by commas; all by default.")] = "",
     backend: Annotated[
         str,
-        typer.Option(help="Radiomics library: pyradiomics or mirp; by default the first of them that is installed."),
+        typer.Option(help="Radiomics library: pyradiomics or mirp; default: pyradiomics if installed, else mirp."),
     ] = "",
 ) -> None:
     """Measure radiomic features of your own images and masks, without a model, and write features.csv.
 
-    The mask of X.png is X_mask.png in the same folder, or X with any suffix in a folder masks, inside FOLDER or next to
-    FOLDER. Pixels whose mask value is not zero are measured. An image without a mask is measured completely.
+    The mask of X.png is X_mask.png in the same folder, or X with any suffix in a folder named masks. This folder may be
+    inside FOLDER or next to it. Pixels with a non-zero mask value are measured. In an image without a mask, all pixels
+    are measured.
     """
     from ..core.checks import InputError
     from ..core.processes.execution import Execution
@@ -50,12 +51,13 @@ def features(
     measured = table[table["status"] == "measured"]
     if measured.empty:
         raise InputError(
-            f"folder {folder} must have an image that can be measured, got none: the lines above give the reasons"
+            f"folder {folder} must contain an image that can be measured, got none: the lines above give the reasons"
         )
     whole = int((measured["mask"] == WHOLE_IMAGE).sum())
     if whole:
         print(
-            f"pssf: {whole} of {len(measured)} images have no mask; the whole image is measured; add a mask X_mask.png",
+            f"pssf: {whole} of {len(measured)} images have no mask; all their pixels are measured; to measure a "
+            "region, add a mask X_mask.png",
             file=sys.stderr,
         )
     path = out / "features.csv"

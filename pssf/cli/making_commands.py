@@ -49,20 +49,24 @@ def simulate(
     kinds: Annotated[
         str,
         typer.Option(
-            "--formats", help="Any of tif, png, json and dcm (one linear file, one for display), separated by commas."
+            "--formats",
+            help="Formats, separated by commas: tif, png, json, dcm. dcm writes a linear file and a file for display.",
         ),
     ] = "tif,png,json",
     border: Annotated[
-        str, typer.Option(help="none, or marked: draw collimator edge and side marker on images for display.")
+        str,
+        typer.Option(
+            help="none or marked; marked draws the collimator edge and the side marker on images for display."
+        ),
     ] = "none",
     processing: Annotated[
         str,
-        typer.Option(help="Display processing: processed (as by a flat-panel system), log, or film."),
+        typer.Option(help="Display processing: processed (similar to a flat-panel system), log or film."),
     ] = "processed",
     acquisition: Annotated[
         str,
         typer.Option(
-            help="fixed, or sampled: centring, rotation, beam, kV, mAs, field and side marker vary with the seed."
+            help="fixed or sampled; sampled varies centring, rotation, beam, kV, mAs, field and marker with the seed."
         ),
     ] = "fixed",
     masks: Annotated[
@@ -76,14 +80,14 @@ def simulate(
     scene: Annotated[
         Path | None,
         typer.Option(
-            help="TOML file that lists your own meshes in mm, to be simulated instead of a knee. Each mesh has a "
-            "table [[surface]] with file, inside and outside."
+            help="TOML file that lists your own meshes in mm, which replace the knee. Each mesh has a table "
+            "[[surface]] with the keys file, inside and outside."
         ),
     ] = None,
 ) -> None:
-    """Simulate one radiograph; write a 16-bit TIFF, a PNG for display, a JSON of parameters, and optionally DICOM.
+    """Simulate one radiograph, and write a 16-bit TIFF, a PNG for display, a JSON of parameters, and optionally DICOM.
 
-    A bilateral protocol images both knees of one subject.
+    With a bilateral protocol, the radiograph shows both knees of one subject.
     """
     from ..core.checks import require_choice, require_workers
     from ..core.progress_display import show_status
@@ -99,7 +103,7 @@ def simulate(
     warn_of_cropped_field(of_protocol)
     require_workers(workers)
     _require_knee_options(scene is not None, subject, masks, border)
-    with show_status("simulating; the first run after an installation also compiles, which takes some seconds"):
+    with show_status("simulating; the first run after installation also compiles code, which takes some seconds"):
         from ..detector import DISPLAY_PROCESSING
         from ..geometry.scene import Scene
         from ..io.atomic_write import make_folder
@@ -127,12 +131,12 @@ def simulate(
 
 
 def _require_knee_options(is_scene: bool, subject: object, masks: bool, border: str) -> None:
-    """Require that masks are not requested for a scene, and a border only for one knee."""
+    """Raise an error if masks are requested for a scene, or a border for anything other than one knee."""
     from ..core.checks import InputError
     from ..model.knee import Knee
 
     if masks and is_scene:
-        raise InputError("masks must be of one knee or both knees, got subject = scene: leave out --masks")
+        raise InputError("masks must belong to one knee or both knees, got subject = scene: remove --masks")
     if border != "none" and not isinstance(subject, Knee):
         raise InputError(f"border must be none for {'a scene' if is_scene else 'both knees'}, got {border!r}")
 
@@ -157,13 +161,13 @@ def meshes(
     seed: Seed = 0,
     knee: KneeFile = None,
     kinds: Annotated[
-        str, typer.Option("--formats", help="Any of stl, ply, glb and 3mf, separated by commas.")
+        str, typer.Option("--formats", help="Formats, separated by commas: stl, ply, glb, 3mf.")
     ] = "stl,ply,glb,3mf",
     settings: Settings = None,
     tolerance_mm: Annotated[
         float,
         typer.Option(
-            help="Largest distance in mm by which a surface may move to save triangles; 0 keeps all triangles."
+            help="Largest distance, in mm, by which simplification may move a surface; 0 keeps all triangles."
         ),
     ] = 0.0,
 ) -> None:
@@ -176,7 +180,9 @@ def meshes(
 
     of_knee, of_protocol = parse_settings(settings or ())
     if of_protocol:
-        raise InputError(f"set must name fields of a knee, got {', '.join(of_protocol)}: no radiograph is made")
+        raise InputError(
+            f"set must name fields of a knee, got {', '.join(of_protocol)}: meshes do not depend on a protocol"
+        )
     subject, name = make_knee(KneeChoice(knee, grade, seed, grade_table, of_knee))
     formats = tuple(kinds.split(","))
     require_export_options(formats, tolerance_mm)
@@ -194,18 +200,21 @@ def cohort(
     *,
     workers: Processes,
     out: Annotated[
-        Path | None, typer.Option("--out", help="Folder for the results; created if it does not exist. Required.")
+        Path | None, typer.Option("--out", help="Output folder; created if it does not exist. Required.")
     ] = None,
     preset: Preset = "quick",
     seed: Seed = 0,
     knees: KneeCounts = "",
     bilateral: Bilateral = -1,
     protocols: Annotated[
-        str, typer.Option(help="Names or TOML files of protocols, separated by commas, instead of those of the preset.")
+        str,
+        typer.Option(
+            help="Names or TOML files of protocols, separated by commas; they replace the protocols of the preset."
+        ),
     ] = "",
     grade_table: CohortGrades = "",
     acquisition: Annotated[
-        str, typer.Option(help="fixed, or sampled: every acquisition varies; by default as in the preset.")
+        str, typer.Option(help="fixed or sampled; sampled varies every acquisition; default: as in the preset.")
     ] = "",
     masks: Annotated[bool, typer.Option("--masks", help="Also write masks of bones and osteophytes, as TIFF.")] = False,
     settings: Settings = None,
@@ -215,8 +224,8 @@ def cohort(
 ) -> None:
     """Make the radiographs and the manifest of a cohort; --knees, --protocols and --grade-table change the preset.
 
-    An interrupted run continues where it stopped, and gives the same bytes: existing files are checked and kept. If the
-    folder has another cohort, the command stops and names the first difference.
+    An interrupted run continues where it stopped: existing files are checked and not written again, and the final files
+    are byte-identical. If the folder contains another cohort, the command stops and reports the first difference.
     """
     if context.invoked_subcommand is not None:
         return
@@ -246,14 +255,14 @@ def cohort(
         )
     print(f"manifest  {manifest}")
     table = plan.cases[0].grade_table
-    print(f"grades    {table}; pssf separability --grade-table {table} estimates how well they can be separated")
+    print(f"grades    {table}; pssf separability --grade-table {table} estimates how separable the grades are")
 
 
 @cohort_app.command()
-def verify(folder: Annotated[Path, typer.Argument(help="Folder of a cohort that pssf cohort made.")]) -> None:
+def verify(folder: Annotated[Path, typer.Argument(help="Cohort folder written by pssf cohort.")]) -> None:
     """Check every file of a cohort against its hash.
 
-    The command prints one line per fault. With a fault the exit code is 2.
+    The command prints one line per fault. If there is a fault, the exit code is 2.
     """
     from ..cohort import verify_cohort
     from ..core.progress_display import show_status
@@ -264,14 +273,15 @@ def verify(folder: Annotated[Path, typer.Argument(help="Folder of a cohort that 
         print(fault)
     if verified.faults:
         raise typer.Exit(2)
-    print(f"intact    {verified.radiographs} radiographs, {verified.files} files, as they were written")
+    print(f"intact    {verified.radiographs} radiographs, {verified.files} files, all unchanged")
 
 
 @cohort_app.command()
-def labels(
-    folder: Annotated[Path, typer.Argument(help="Folder of a cohort that pssf cohort made.")], *, out: Out
-) -> None:
-    """Write the labels of a cohort as CSV with OAI columns, .pts and COCO, and its images as 8-bit PNG by grade."""
+def labels(folder: Annotated[Path, typer.Argument(help="Cohort folder written by pssf cohort.")], *, out: Out) -> None:
+    """Write the labels of a cohort as CSV with OAI columns, .pts and COCO.
+
+    The images are written as 8-bit PNG, sorted by grade.
+    """
     from ..cohort import write_labels
     from ..core.progress_display import show_status
 

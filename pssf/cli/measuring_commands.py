@@ -22,13 +22,13 @@ def validate(
     tables: Annotated[
         str,
         typer.Option(
-            help="Names of tables, separated by commas, or all; an error for an unknown name lists the known names."
+            help="Names of tables, separated by commas, or all; an unknown name gives an error that lists all names."
         ),
     ] = "all",
-    knees: Annotated[int, typer.Option(help="Number of sampled knees per table, for tables that need knees.")] = 30,
+    knees: Annotated[int, typer.Option(help="Number of sampled knees for each table that needs knees.")] = 30,
     workers: Workers = 2,
 ) -> None:
-    """Measure numerical error and run time on this machine; write tables (CSV) and a figure."""
+    """Measure numerical errors and run times on this machine, and write tables (CSV) and a figure."""
     from ..core.checks import require_integer
     from ..core.progress_display import show_status
     from ..io.run_record import start_run_record
@@ -79,29 +79,32 @@ def compare_patients(
     films: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of patient radiographs, with subfolders 0 to 4 by grade or a CSV; or a folder that contains "
-            "one such folder per source."
+            help="Folder of patient radiographs with one subfolder per grade, 0 to 4, or with a CSV; or a folder that "
+            "contains such a folder for each source."
         ),
     ] = None,
     bones: Annotated[
         Path | None,
-        typer.Option(help="Bones of patients: an .npz, or folders femur, tibia and patella of meshes in mm."),
+        typer.Option(
+            help="Bones of patients: an .npz file, or a folder of meshes in mm with subfolders femur, tibia, patella."
+        ),
     ] = None,
     cohort: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of a cohort that pssf cohort made; its radiographs of --protocol give the simulated contours."
+            help="Cohort folder written by pssf cohort; its radiographs for --protocol give the simulated contours."
         ),
     ] = None,
     protocol: ProtocolName = "reference",
-    knees: Annotated[int, typer.Option(help="Number of sampled knees, equal for all grades.")] = 200,
+    knees: Annotated[int, typer.Option(help="Number of sampled knees, distributed equally over the grades.")] = 200,
     grade_table: GradeTable = "population",
     seed: Seed = 0,
 ) -> None:
-    """Compare simulated knees with bones, contours and radiographs of patients; write one page and tables (CSV).
+    """Compare simulated knees with bones, contours and radiographs of patients, and write one page and tables (CSV).
 
-    Each comparison needs its data. Contours are always compared with published values: contours_sizes.csv has the joint
-    gaps, plateau and convergence by grade. An interrupted run continues where it stopped.
+    A comparison with bones or radiographs runs only if its data are specified. Contours are always compared with
+    published values; contours_sizes.csv contains joint space, plateau width and convergence by grade. An interrupted
+    run continues where it stopped.
     """
     from ..core.processes.execution import Execution
     from ..core.progress_display import show_progress_bar
@@ -135,14 +138,16 @@ def separability(
     grade_table: GradeTable = "population",
     knees: Annotated[
         int,
-        typer.Option(help="Total number of sampled knees, equal for all grades; fewer knees give a wider interval."),
+        typer.Option(
+            help="Total number of sampled knees, distributed equally over the grades; fewer knees give wider intervals."
+        ),
     ] = 30_000,
     seed: Seed = 0,
 ) -> None:
-    """Estimate how well JSW, or all knee parameters together, could at best separate the grades of a grade table.
+    """Estimate how well JSW alone, or all knee parameters together, can separate the grades of a grade table.
 
-    No image is made. Radiographs of the sampled knees cannot separate grades better than the knee parameters. The knee
-    parameters separate grades at least as well as the better one of two fitted classifiers.
+    No image is made. Radiographs of the sampled knees cannot separate the grades better than the knee parameters do.
+    The estimate uses the better of two classifiers, so it is a lower bound of the separability.
     """
     from rich.console import Console
     from rich.table import Table
@@ -161,7 +166,7 @@ def separability(
         measured = estimate_separability(
             load_knee_distributions(grade_table), load_landmark_reference().gap_alone_auc, knees=knees, seed=seed
         )
-    shown = Table("grades", "parameters", "method", "knees", "AUC", "95 %", "smaller gap on patient radiographs")
+    shown = Table("grades", "parameters", "method", "knees", "AUC", "95 %", "minimum JSW on patient radiographs")
     for row in measured.to_dict("records"):
         patient_auc = "" if row["patient_auc"] != row["patient_auc"] else f"{row['patient_auc']:.2f}"
         interval = f"{row['low']:.2f} to {row['high']:.2f}"
@@ -182,7 +187,7 @@ def separability(
 
 def protocols(
     name: Annotated[
-        str, typer.Argument(help="Name of a protocol, or path of a TOML file, whose values are shown as defaults.")
+        str, typer.Argument(help="Name or TOML file of a protocol whose values are listed as defaults.")
     ] = "",
 ) -> None:
     """List the fields of a protocol with meaning, unit, allowed values, default and source of typical values."""
@@ -199,7 +204,7 @@ def protocols(
 def knees(
     *,
     template: Annotated[
-        bool, typer.Option("--template", help="Print a template of a TOML file for --knee instead.")
+        bool, typer.Option("--template", help="Instead, print a template of the TOML file for --knee.")
     ] = False,
 ) -> None:
     """List the fields of a knee with meaning, unit, allowed values, default and source of typical values."""

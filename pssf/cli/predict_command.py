@@ -13,37 +13,42 @@ if TYPE_CHECKING:
 
 
 def predict(
-    model: Annotated[Path, typer.Argument(help="Model that pssf study saved (.skops).")],
+    model: Annotated[Path, typer.Argument(help="Model file (.skops) saved by pssf study.")],
     films: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILM...", help="Files of radiographs, folders of radiographs, or CSV files that list radiographs."
+            metavar="FILM...", help="Radiographs, folders of radiographs, or CSV files that list radiographs."
         ),
     ],
     *,
     out: Out,
     workers: Processes,
     side: Annotated[
-        str, typer.Option(help="Side, right or left, if neither file name nor table gives it; estimated by default.")
+        str,
+        typer.Option(
+            help="Side, right or left, for images whose file name and table do not specify it; estimated by default."
+        ),
     ] = "",
     pixel_mm: Annotated[
         float,
         typer.Option(
-            help="Pixel size in mm, if no table gives it; 0: read from the file, else estimated from the plateau width."
+            help="Pixel size in mm, if not in a table; 0 reads it from the file or estimates it from the plateau width."
         ),
     ] = 0.0,
     linear: Annotated[
         bool,
         typer.Option(
             "--linear",
-            help="Treat pixels of files of other programs as linear in the signal, with air bright; side and pixel "
-            "size must be known.",
+            help="Treat the pixels of files from other programs as linear in the signal, with bright air; side and "
+            "pixel size must be known.",
         ),
     ] = False,
 ) -> None:
-    """Apply a saved model to patient radiographs; write grade probabilities and features (CSV) and pictures of regions.
+    """Apply a saved model to patient radiographs.
 
-    An image that does not declare the meaning of its pixels is treated as displayed, with a warning.
+    The command writes grade probabilities and features (CSV), and pictures of the regions.
+
+    If an image does not declare the meaning of its pixels, it is treated as processed for display, with a warning.
     """
     from ..core.processes.execution import Execution
     from ..core.progress_display import show_progress_bar
@@ -74,7 +79,7 @@ def predict(
     for _, row in done.table.iterrows():
         chances = ", ".join(f"grade {grade} ({name}) {row[f'p grade {grade}']:.3f}" for grade, name in names.items())
         print(f"{row['file']}  {chances if row['status'] == 'found' else 'rejected: ' + row['status']}")
-        if row["row_px"] == row["row_px"]:  # The row is NaN if no joint was searched.
+        if row["row_px"] == row["row_px"]:  # NaN means that no joint was searched.
             write_image_row(
                 [draw_film_region(loaded, row, Path(), linear=linear)],
                 out / "pictures" / f"{_make_unique_stem(row['file'], taken)}.png",
@@ -83,7 +88,10 @@ def predict(
 
 
 def _collect_films(path: Path, side: str, pixel_mm: float) -> "list[Film]":
-    """List the radiographs of a path; use the given side and pixel size if file names and tables have none."""
+    """List the radiographs of a path.
+
+    The specified side and pixel size are used for radiographs whose file names and tables do not contain them.
+    """
     from dataclasses import replace
 
     from ..core.checks import require_choice, require_in_range
@@ -111,7 +119,7 @@ def _collect_films(path: Path, side: str, pixel_mm: float) -> "list[Film]":
 
 
 def _make_unique_stem(file: str, used_names: set[str]) -> str:
-    """Return the stem of a file, with a number if another file has the same stem."""
+    """Return the stem of a file, with a number appended if another file has the same stem."""
     stem, count = Path(file).stem, 1
     name = stem
     while name in used_names:

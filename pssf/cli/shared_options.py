@@ -1,4 +1,4 @@
-"""Options that several commands share, and their conversion to knees, protocols and scenes."""
+"""Options common to several commands, and their conversion to knees, protocols and scenes."""
 
 import sys
 from dataclasses import dataclass, field
@@ -23,32 +23,34 @@ def _count_cores() -> int:
 Out = Annotated[Path, typer.Option("--out", help="Output folder; created if it does not exist.")]
 Seed = Annotated[int, typer.Option(help="Seed of all random numbers; the same seed gives the same bytes.")]
 Grade = Annotated[
-    int, typer.Option(help="KL grade of the sampled knee: 0 to 4 in the grade table population, 0 to 2 in paper.")
+    int,
+    typer.Option(help="KL grade of the sampled knee: 0 to 4 for grade table population, 0 to 2 for grade table paper."),
 ]
 KneeFile = Annotated[
-    Path | None, typer.Option("--knee", help="TOML file with the parameters of a knee, instead of a sampled one.")
+    Path | None,
+    typer.Option("--knee", help="TOML file with the parameters of a knee, which replaces the sampled knee."),
 ]
-ProtocolName = Annotated[str, typer.Option("--protocol", help="Name of a protocol, or path of a TOML file.")]
-Workers = Annotated[int, typer.Option(help="Number of processes or threads; it does not change the result.")]
+ProtocolName = Annotated[str, typer.Option("--protocol", help="Name or TOML file of a protocol.")]
+Workers = Annotated[int, typer.Option(help="Number of processes or threads; it does not affect the result.")]
 Processes = Annotated[
     int,
     typer.Option(
         "--workers",
         default_factory=_count_cores,
         show_default="all cores that this process may use",
-        help="Number of processes on this machine, with one thread each; it does not change the result.",
+        help="Number of processes on this machine, with one thread each; it does not affect the result.",
     ),
 ]
 Scheduler = Annotated[
     str | None,
     typer.Option(
         metavar="tcp://HOST:PORT",
-        help="Dask scheduler whose workers make the radiographs, instead of processes on this machine. All workers "
-        "must access --out under the same path and have the same version of pssf (extra: cluster).",
+        help="Dask scheduler; its workers make the radiographs instead of processes on this machine. All workers "
+        "need access to --out under the same path and the same version of pssf. Requires the extra cluster.",
     ),
 ]
 Engine = Annotated[
-    str, typer.Option(help="Ray caster: embree or scanline; the path lengths agree, and scanline is faster.")
+    str, typer.Option(help="Ray caster: embree or scanline. Both give the same path lengths; scanline is faster.")
 ]
 Preset = Annotated[
     str,
@@ -61,8 +63,8 @@ GradeTable = Annotated[
     str,
     typer.Option(
         "--grade-table",
-        help="Grade table from which knees are sampled: population (KL 0 to 4, which overlap as in patients), paper "
-        "(grades 0 to 2, separated by joint space), or the path of a .toml file.",
+        help="Grade table from which knees are sampled: population (KL 0 to 4, with overlap as in patients), paper "
+        "(grades 0 to 2, separated by JSW), or the path of a .toml file.",
     ),
 ]
 
@@ -72,31 +74,31 @@ Settings = Annotated[
     typer.Option(
         "--set",
         metavar="FIELD=VALUE",
-        help="New value for a field of the knee or the protocol, such as mas=2 or jsw_medial_mm=3; repeat it for "
-        "several fields. `pssf knees` and `pssf protocols` list the fields.",
+        help="New value for a field of the knee or the protocol, such as mas=2 or jsw_medial_mm=3. Repeat the option "
+        "for several fields. `pssf knees` and `pssf protocols` list the fields.",
     ),
 ]
 Matrix = Annotated[
     int,
     typer.Option(
-        help="Pixels along the longer edge of the detector for the same field of view. 0: as in the protocol."
+        help="Number of pixels along the longer detector edge, for the same field of view; 0: as in the protocol."
     ),
 ]
 KneeCounts = Annotated[
     str,
     typer.Option(
         "--knees",
-        help="Number of knees of each grade, starting with grade 0, instead of those of the preset: 10,10,10.",
+        help="Number of knees of each grade, starting with grade 0, such as 10,10,10; default: as in the preset.",
     ),
 ]
 Bilateral = Annotated[
-    int, typer.Option(help="Number of subjects with both knees; -1: as in the preset, or none with --knees.")
+    int, typer.Option(help="Number of subjects with both knees; -1: as in the preset, or 0 if --knees is used.")
 ]
 CohortGrades = Annotated[
     str,
     typer.Option(
         "--grade-table",
-        help="Grade table instead of that of the preset: population, paper, or the path of a .toml file.",
+        help="Grade table that replaces that of the preset: population, paper or the path of a .toml file.",
     ),
 ]
 
@@ -111,22 +113,24 @@ def cohort_overrides(
     matrix: int = 0,
     settings: "list[str] | None" = None,
 ) -> "dict[str, Any]":
-    """Collect the preset entries that options replace, for `plan_cohort`; leave out options that are not given.
+    """Collect the preset entries that options replace, for `plan_cohort`.
+
+    Options that the user does not specify are omitted.
 
     Parameters
     ----------
     knees : str
-        Number of knees of each grade, starting with grade 0, separated by commas; empty keeps the preset.
+        Number of knees of each grade, starting with grade 0, separated by commas; an empty string keeps the preset.
     bilateral : int
         Number of subjects with both knees; -1 keeps the preset.
     protocols : str
-        Names or TOML files of protocols, separated by commas; empty keeps the preset.
+        Names or TOML files of protocols, separated by commas; an empty string keeps the preset.
     grade_table : str
-        Grade table; empty keeps the preset.
+        Grade table; an empty string keeps the preset.
     acquisition : str
-        "fixed" or "sampled"; empty keeps the preset.
+        "fixed" or "sampled"; an empty string keeps the preset.
     matrix : int
-        Pixels along the longer edge of the detector; 0 keeps the protocol.
+        Number of pixels along the longer detector edge; 0 keeps the protocol.
     settings : list of str or None
         Entries FIELD=VALUE that change the knee or the protocol.
 
@@ -138,7 +142,7 @@ def cohort_overrides(
     Raises
     ------
     InputError
-        The numbers of knees are not whole numbers.
+        If a number of knees is not an integer.
     """
     given: dict[str, Any] = {}
     if knees:
@@ -159,7 +163,7 @@ def cohort_overrides(
 
 
 def warn_of_cropped_field(protocol_changes: "dict[str, Any]") -> None:
-    """Print a warning if rows or columns change without the pixel size, because the field of view changes.
+    """Print a warning if rows or columns change without the pixel size, which changes the field of view.
 
     Parameters
     ----------
@@ -169,14 +173,14 @@ def warn_of_cropped_field(protocol_changes: "dict[str, Any]") -> None:
     sides = [name for name in ("rows", "cols") if name in protocol_changes]
     if sides and "pixel_mm" not in protocol_changes:
         print(
-            f"pssf: warning: {' and '.join(sides)} without pixel_mm change the field of view; use --matrix to "
-            "change the number of pixels and keep the field of view",
+            f"pssf: warning: setting {' and '.join(sides)} without pixel_mm changes the field of view; to keep the "
+            "field of view, change the number of pixels with --matrix",
             file=sys.stderr,
         )
 
 
 def split_names(text: str) -> tuple[str, ...]:
-    """Split an option that lists names separated by commas.
+    """Split the value of an option that lists names separated by commas.
 
     Parameters
     ----------
@@ -186,7 +190,7 @@ def split_names(text: str) -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        Names in the given order, without surrounding spaces.
+        Names in the order of `text`, without surrounding spaces.
     """
     return tuple(name.strip() for name in text.split(","))
 
@@ -197,7 +201,7 @@ def parse_knee_counts(text: str) -> tuple[int, ...]:
     Parameters
     ----------
     text : str
-        Whole numbers separated by commas, one per grade, starting with grade 0.
+        Integers separated by commas, one per grade, starting with grade 0.
 
     Returns
     -------
@@ -207,13 +211,15 @@ def parse_knee_counts(text: str) -> tuple[int, ...]:
     Raises
     ------
     InputError
-        An entry is not a whole number.
+        If an entry is not an integer.
     """
     from ..core.checks import InputError
 
     counts = split_names(text)
     if not all(count.isascii() and count.isdigit() and len(count) < 7 for count in counts):
-        raise InputError(f"knees must be whole numbers separated by commas, one per grade from grade 0, got {text!r}")
+        raise InputError(
+            f"knees must be integers separated by commas, one per grade starting with grade 0, got {text!r}"
+        )
     return tuple(map(int, counts))
 
 
@@ -223,19 +229,19 @@ def parse_numbers(name: str, text: str) -> tuple[float, ...]:
     Parameters
     ----------
     name : str
-        Name of the option, shown in error messages.
+        Name of the option in error messages.
     text : str
         Value of the option.
 
     Returns
     -------
     tuple of float
-        Numbers in the given order.
+        Numbers in the order of `text`.
 
     Raises
     ------
     InputError
-        An entry is not a number.
+        If an entry is not a number.
     """
     from ..core.checks import InputError
 
@@ -247,7 +253,7 @@ def parse_numbers(name: str, text: str) -> tuple[float, ...]:
 
 @dataclass(frozen=True)
 class KneeChoice:
-    """Knee or scene that the user requests: a knee from a file, a sampled knee, or a scene from a file.
+    """Knee or scene that the user requests: a knee from a file, a sampled knee or a scene from a file.
 
     Attributes
     ----------
@@ -258,7 +264,7 @@ class KneeChoice:
     seed : int
         Seed of a sampled knee.
     grade_table : str
-        Grade table from which the knee is sampled.
+        Grade table from which a knee is sampled.
     overrides : dict of str to object
         New values of knee fields, keyed by field name.
     scene : Path or None
@@ -274,7 +280,7 @@ class KneeChoice:
 
 
 def make_knee(choice: KneeChoice) -> "tuple[Knee, str]":
-    """Make the requested knee.
+    """Make the knee that the user requests.
 
     Parameters
     ----------
@@ -291,7 +297,7 @@ def make_knee(choice: KneeChoice) -> "tuple[Knee, str]":
     Raises
     ------
     InputError
-        The options contradict each other, or a value is not allowed.
+        If the options contradict each other, or a value is not allowed.
     """
 
     from ..core.checks import require_seed
@@ -310,7 +316,10 @@ def make_knee(choice: KneeChoice) -> "tuple[Knee, str]":
 
 
 def _require_no_sampling_options(choice: KneeChoice, given: str) -> None:
-    """Require that options of a sampled knee are not combined with a knee file or scene; messages show `given`."""
+    """Raise an error if options of a sampled knee are combined with a knee file or scene.
+
+    `given` names the file or scene in the message.
+    """
     from ..core.checks import InputError
 
     for name, value, default in (
@@ -322,26 +331,26 @@ def _require_no_sampling_options(choice: KneeChoice, given: str) -> None:
 
 
 def make_subject(choice: KneeChoice, protocol: "Protocol") -> "tuple[Knee | tuple[Knee, Knee] | Scene, str]":
-    """Make the object that a protocol images: one knee, both knees of a subject, or a scene.
+    """Make the subject of a radiograph: one knee, both knees of a person, or a scene.
 
     Parameters
     ----------
     choice : KneeChoice
         Requested knee or scene.
     protocol : Protocol
-        Protocol. If its distance between the knees is not 0, both knees are made.
+        Acquisition protocol. If its knee distance is not 0, both knees are made.
 
     Returns
     -------
     subject : Knee, (Knee, Knee) tuple or Scene
-        Object to simulate; a pair of knees is ordered right, left.
+        Subject to simulate. A pair of knees is ordered right, left.
     name : str
         Beginning of the output file names.
 
     Raises
     ------
     InputError
-        The options contradict each other, or a value is not allowed.
+        If the options contradict each other, or a value is not allowed.
     """
 
     from ..core.checks import InputError, require_seed
@@ -360,7 +369,8 @@ def make_subject(choice: KneeChoice, protocol: "Protocol") -> "tuple[Knee | tupl
         return make_knee(choice)
     if choice.path is not None:
         raise InputError(
-            f"knee {choice.path} must be used with a protocol of one knee, got {protocol.name}, which images both knees"
+            f"knee {choice.path} must be used with a protocol for one knee, got {protocol.name}, which images both "
+            "knees"
         )
     require_seed(choice.seed)
     drawn = sample_knee_pair(grade=choice.grade, rng=choice.seed, grade_table=choice.grade_table)
@@ -371,28 +381,30 @@ def make_subject(choice: KneeChoice, protocol: "Protocol") -> "tuple[Knee | tupl
 def resolve_acquisition(
     acquisition: str, nominal: "Protocol", subject: "Knee | tuple[Knee, Knee] | Scene", seed: int
 ) -> "Protocol":
-    """Return the nominal protocol, or sample its acquisition variability from a separate random stream.
+    """Return the nominal protocol, or sample an acquisition of it.
+
+    Acquisition variability is sampled from a separate random stream.
 
     Parameters
     ----------
     acquisition : {"fixed", "sampled"}
-        "fixed" returns the nominal protocol.
+        "fixed" returns the nominal protocol; "sampled" varies it.
     nominal : Protocol
-        Nominal protocol.
+        Protocol without acquisition variability.
     subject : Knee, (Knee, Knee) tuple or Scene
-        Object to simulate; the side of a single knee determines the location of the side marker.
+        Subject to simulate. The side of a single knee determines the location of the side marker.
     seed : int
-        Seed of the command.
+        Seed that the user passes to the command.
 
     Returns
     -------
     Protocol
-        Protocol of the acquisition.
+        Protocol of the sampled or nominal acquisition.
 
     Raises
     ------
     InputError
-        `acquisition` is neither "fixed" nor "sampled".
+        If `acquisition` is neither "fixed" nor "sampled".
     """
     import numpy as np
 

@@ -22,9 +22,9 @@ from .shared_options import (
     split_names,
 )
 
-# Options that affect how a study runs, but not its results.
+# Options that affect how a study runs but not its results.
 _OF_EXECUTION = ("out", "workers", "scheduler", "config", "until")
-# Types of former options, which are now settings of the file only. The options work for one more version.
+# Types of deprecated options, which are now settings of the settings file. The options remain valid for one version.
 _FormerText = Annotated[str, typer.Option(hidden=True)]
 _FormerCount = Annotated[int, typer.Option(hidden=True)]
 _FormerNumber = Annotated[float, typer.Option(hidden=True)]
@@ -32,14 +32,14 @@ _FORMER = (
     *("bilateral", "engine", "families", "selections", "models", "backend", "difference", "strengths"),
     *("films_protocol", "films_pixel_mm", "films_region_mm", "curve_knees", "sobol_samples", "sensitivity_knees"),
 )
-# Functions that convert the text of an option to the setting of the same name.
+# Functions that convert the text of an option to the value of the setting with the same name.
 _CONVERSIONS: dict[str, Callable[[Any], Any]] = {
     "knees": parse_knee_counts,
     "films": str,
     "strengths": partial(parse_numbers, "strengths"),
     **dict.fromkeys(("protocols", "families", "selections", "models"), split_names),
 }
-# Default values of former options, which mean that the option is not given.
+# Default values of deprecated options. A default value means that the user did not specify the option.
 _NOT_GIVEN = {"bilateral": -1, "films_pixel_mm": 0.0, "films_region_mm": 0.0}
 
 
@@ -51,7 +51,7 @@ def study(
     config: Annotated[
         Path | None,
         typer.Option(
-            help="Settings file (TOML), such as study.toml of an earlier study; other options replace its settings."
+            help="Settings file (TOML), such as study.toml of an earlier study; other options override its settings."
         ),
     ] = None,
     preset: Preset = "quick",
@@ -59,12 +59,15 @@ def study(
     knees: KneeCounts = "",
     grade_table: CohortGrades = "",
     protocols: Annotated[
-        str, typer.Option(help="Names or TOML files, separated by commas, instead of those of the preset.")
+        str,
+        typer.Option(
+            help="Names or TOML files of protocols, separated by commas; they replace the protocols of the preset."
+        ),
     ] = "",
     matrix: Matrix = 0,
     films: Annotated[
         Path | None,
-        typer.Option(help="Folder or CSV of patient radiographs by grade; models are tested on them as well."),
+        typer.Option(help="Folder or CSV of patient radiographs by grade, on which the models are also tested."),
     ] = None,
     scheduler: Scheduler = None,
     until: Annotated[str, typer.Option(help="Last step of the run: features or report.")] = "report",
@@ -83,10 +86,10 @@ def study(
     sobol_samples: _FormerCount = 0,
     sensitivity_knees: _FormerCount = 0,
 ) -> None:
-    """Run the whole study: cohort, regions, features, models and report; an interrupted run continues where it stopped.
+    """Run the entire study: cohort, regions, features, models and report.
 
-    The settings file specifies everything else: features, models, statistics and designed experiments. Every study
-    writes its settings to study.toml in the output folder. A disabled analysis costs no time.
+    An interrupted run continues where it stopped. The settings file specifies features, models, statistics and designed
+    experiments. Every study writes its settings to study.toml in the output folder. A disabled analysis costs no time.
     """
     from .. import experiment
     from ..core.checks import require_choice
@@ -114,7 +117,7 @@ def study(
 
 
 def _collect_given_settings(context: typer.Context) -> dict[str, Any]:
-    """Collect the settings that the command line gives; warn if an option moves to the settings file."""
+    """Collect the settings on the command line, and warn about options that have become settings of the file."""
     given = {}
     for name, value in context.params.items():
         source = context.get_parameter_source(name)
@@ -123,8 +126,8 @@ def _collect_given_settings(context: typer.Context) -> dict[str, Any]:
         if name in _FORMER:
             option = f"--{name.replace('_', '-')}"
             print(
-                f"pssf: {option} moves to the settings file; the option will be removed; set {name} in a file and "
-                "name the file with --config",
+                f"pssf: {option} is now a setting of the settings file; the option will be removed; set {name} in a "
+                "file and pass the file with --config",
                 file=sys.stderr,
             )
         if value not in ("", _NOT_GIVEN.get(name)):

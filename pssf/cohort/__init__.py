@@ -1,14 +1,14 @@
-"""Cohorts: plan knees and radiographs, make the radiographs, export labels, and verify files.
+"""Plan cohorts of knees, make their radiographs, export their labels, and verify their files.
 
 plan_cohort      preset, seed    -> Plan: knees, subjects, and the radiographs of each knee
-select_subjects  Plan            -> Plan with a selection of subjects, equally many per grade
-plan_retest      Plan            -> Plan of repeated radiographs of some knees, with new noise and new positioning
-make_cohort      Plan, folder    -> images and a manifest; continues where an earlier run stopped
+select_subjects  Plan            -> Plan with a subset of the subjects, the same number per grade
+plan_retest      Plan            -> Plan of repeat radiographs of selected knees, with new noise or new positioning
+make_cohort      Plan, folder    -> images and a manifest; an interrupted run is resumed
 write_labels     folder          -> labels as OAI columns, .pts files and COCO keypoints, and images sorted by grade
 verify_cohort    folder          -> list of missing, changed and extra files
 
-The folder of a cohort has cohort.json (the specification), images/*.tif, and one file records/*.json per knee, which is
-written after the images of the knee. A finished cohort also has manifest.csv with one row per radiograph.
+A cohort folder contains cohort.json (the specification), images/*.tif, and one file records/*.json per knee. The record
+of a knee is written after its images. A completed cohort also contains manifest.csv, with one row per radiograph.
 """
 
 from .cohort_maker import make_cohort

@@ -25,9 +25,9 @@ from ..simulation import collect_versions, simulate
 from .cohort_plan import Case, Exposure, Plan
 
 Row = dict[str, Any]
-# Folders of a cohort, as paths relative to the cohort folder; "" is the cohort folder.
+# Folders in which pssf writes cohort files, relative to the cohort folder; "" is the cohort folder itself.
 SUBFOLDERS = ("", "images", "masks", "records")
-# Subpackages and modules on which pixels, files and manifest depend.
+# Subpackages and modules that affect the pixels and files of a cohort; cohort.json stores their hashes.
 _CODE_PATHS = (
     *("anatomy", "cohort", "core", "detector", "geometry", "io", "model", "raycast", "scatter"),
     *("image_faults.py", "simulation.py", "stages.py", "xray"),
@@ -36,14 +36,14 @@ _CODE_PATHS = (
 
 @dataclass(frozen=True, kw_only=True)
 class RunEnvironment:
-    """Environment of a run; every worker must have the same environment.
+    """Describe the environment of a cohort run, which must be identical on every worker.
 
     Attributes
     ----------
     folder : Path
-        Folder of the cohort, absolute.
+        Absolute path of the cohort folder.
     cohort_sha256 : str
-        SHA-256 of cohort.json in the folder.
+        SHA-256 hash of the file cohort.json in the cohort folder.
     versions : dict of str to str
         Versions of the package and of all libraries on which the pixels depend, keyed by name.
     code_hashes : dict of str to str
@@ -68,27 +68,27 @@ def make_cohort(
 ) -> Path:
     """Make the missing radiographs of a cohort and write its manifest.
 
-    The bytes do not depend on the number of workers or on the machine. If the limb would intersect the
+    The files are identical for any number of workers and on any machine. If the limb would intersect the
     detector, the joint is moved towards the source (`raycast.detector_clearance.move_clear_of_detector`). The column
-    ``sod_mm`` of the manifest has the distance that was used.
+    ``sod_mm`` of the manifest contains the resulting source-to-object distance.
 
     Parameters
     ----------
     plan : Plan
         Plan of knees and radiographs.
     folder : str or Path
-        Folder of the cohort. Files of an earlier run are checked against their hashes and kept.
+        Cohort folder. Files from an earlier run are verified against their hashes and reused.
     workers : int, optional
-        Number of local processes, 1 to 256. None starts one process per core that this process may use.
+        Number of local processes, 1 to 256. None starts one process per available core.
     scheduler : str, optional
-        Address of a Dask scheduler. Its workers make the radiographs, and must access the folder under the same path.
+        Address of a Dask scheduler. Its workers make the radiographs, and must be able to access `folder` under the
+        same path.
     engine : {"scanline", "embree"}, default "scanline"
-        Ray caster; "embree" gives the same path lengths and takes fifteen times as long.
+        Ray caster; "embree" gives the same path lengths but takes fifteen times as long.
     progress : callable
-        Function that is called with the number of new radiographs when a knee is finished.
+        Function that is called after each finished knee, with the number of its new radiographs.
     on_kept : callable
-        Function that is called with the number of checked radiographs of an earlier run, before new radiographs are
-        made.
+        Function that is called for each knee that an earlier run finished, with the number of its verified radiographs.
 
     Returns
     -------
@@ -98,8 +98,8 @@ def make_cohort(
     Raises
     ------
     InputError
-        If the engine is unknown, or the folder has another cohort or a damaged file. If the disk cannot be written, or
-        the scheduler cannot be reached.
+        If the engine is unknown, or the folder contains a different cohort or a damaged file. If the disk is not
+        writable, or the scheduler cannot be reached.
     WorkersLostError
         If workers are killed repeatedly.
     """
@@ -116,16 +116,16 @@ def make_cohort(
     rows = _load_finished_rows(plan, folder, claim, workers, on_kept)
     missing = [case for case in plan.cases if case.index not in rows]
 
-    def stands(index: int, made: list[Row]) -> None:
+    def store_rows(index: int, made: list[Row]) -> None:
         """Store the manifest rows of a finished knee and report its number of radiographs."""
         rows[missing[index].index] = made
         progress(len(missing[index].exposures))
 
-    # If there are more workers than missing knees, each knee uses several threads for ray casting.
+    # If there are more workers than unfinished knees, each knee uses several threads for ray casting.
     threads = 1 if scheduler else max(1, workers // max(1, len(missing)))
     site = RunEnvironment(folder=folder.absolute(), cohort_sha256=claim, versions=collect_versions(), code_hashes=code)
     shared = {"site": site, "engine": engine, "threads": threads, "masks": plan.masks}
-    map_in_parallel(make_case, missing, shared=shared, workers=workers, scheduler=scheduler, on_result=stands)
+    map_in_parallel(make_case, missing, shared=shared, workers=workers, scheduler=scheduler, on_result=store_rows)
     _remove_temporary_files(folder)
     manifest = folder / "manifest.csv"
     cohort_records.write_csv(manifest, [row for case in plan.cases for row in rows[case.index]])
@@ -133,20 +133,20 @@ def make_cohort(
 
 
 def make_case(case: Case, site: RunEnvironment, engine: str, threads: int, masks: str = "none") -> list[Row]:
-    """Make and save every radiograph of one knee, then its record.
+    """Make and save all radiographs of one knee, then write the record of the knee.
 
     Parameters
     ----------
     case : Case
         Knee and planned radiographs.
     site : RunEnvironment
-        Folder, library versions and code hashes that the worker must have.
+        Cohort folder, library versions and code hashes that the worker must match.
     engine : {"scanline", "embree"}
         Ray caster.
     threads : int
-        Number of threads.
+        Number of threads of the simulation.
     masks : {"none", "tif"}, default "none"
-        Format of the masks of every radiograph; "none" saves no masks.
+        File format of the segmentation masks of each radiograph; "none" saves no masks.
 
     Returns
     -------
@@ -156,12 +156,13 @@ def make_case(case: Case, site: RunEnvironment, engine: str, threads: int, masks
     Raises
     ------
     InputError
-        If the folder, a library version or the code differs from the machine that started the run.
+        If the cohort folder, a library version or the code differs from that on the machine that started the run.
     """
     cohort_records.require_claimed_folder(site.folder / "cohort.json", site.cohort_sha256)
     for name, here in collect_versions().items():
         if here != site.versions[name]:
-            raise InputError(f"on {node()}: {name} must be {site.versions[name]}, as where the run started, got {here}")
+            allowed = f"{site.versions[name]}, the version on the machine that started the run"
+            raise InputError(f"{name} on {node()} must be {allowed}, got {here}")
     require_same_code(site.code_hashes)
     built, paths, rows = build(case.knee, case.exposures[0].protocol), None, []
     for exposure in case.exposures:
@@ -170,7 +171,7 @@ def make_case(case: Case, site: RunEnvironment, engine: str, threads: int, masks
         how: dict[str, Any] = {"rng": exposure.seed, "engine": engine, "workers": threads}
         how["keep"] = () if masks == "none" else ("masks",)
         protocol = move_clear_of_detector(built.scene, built.aim_beam(exposure.protocol))
-        # Radiographs of one geometry, such as reference and low dose, share their path lengths.
+        # Radiographs with the same geometry, such as a reference and a low-dose radiograph, share their path lengths.
         if paths is None or (paths.view, paths.texture) != (resolve_view(protocol), protocol.texture):
             paths = trace(built.scene, protocol, engine=engine, workers=threads)
         radiograph = simulate(built, protocol, paths=paths, **how)
@@ -195,7 +196,7 @@ def _load_finished_rows(
 ) -> dict[int, list[Row]]:
     """Load the manifest rows of every knee that an earlier run finished, keyed by knee index."""
 
-    def known(case: Case) -> list[Row] | None:
+    def load_rows(case: Case) -> list[Row] | None:
         """Read the manifest rows of a knee; return None if its record or a file is missing."""
         return cohort_records.read_verified_rows(
             folder, case.index, [exposure.name for exposure in case.exposures], claim
@@ -204,7 +205,7 @@ def _load_finished_rows(
     rows: dict[int, list[Row]] = {}
     # Threads are sufficient, because hashing releases the global interpreter lock.
     with ThreadPoolExecutor(workers) as pool:
-        for case, known_rows in zip(plan.cases, pool.map(known, plan.cases), strict=True):
+        for case, known_rows in zip(plan.cases, pool.map(load_rows, plan.cases), strict=True):
             if known_rows is not None:
                 rows[case.index] = known_rows
                 on_kept(len(case.exposures))
@@ -212,7 +213,7 @@ def _load_finished_rows(
 
 
 def _make_row(case: Case, exposure: Exposure, radiograph: Radiograph, relative_path: Path, digest: str) -> Row:
-    """Make the row of the manifest for one radiograph."""
+    """Build the manifest row of one radiograph."""
     truth = radiograph.truth
     assert truth is not None
     knee, protocol = knee_to_dict(case.knee), protocol_to_dict(radiograph.protocol)
@@ -236,20 +237,21 @@ def _make_row(case: Case, exposure: Exposure, radiograph: Radiograph, relative_p
             "repeat_index": exposure.repeat_index,
             "source_knee": exposure.source_knee,
         }
-    # Posture columns get a prefix, because the knee also has fields for flexion and rotation.
-    stands = {f"posture_{name}": protocol.pop(name) for name in asdict(exposure.protocol.posture)}
-    # Names without a prefix are joint spaces in the radiograph. The prefix "nominal" marks those of the specification.
+    # Posture columns get the prefix "posture_", because the knee also has fields for flexion and rotation.
+    posture = {f"posture_{name}": protocol.pop(name) for name in asdict(exposure.protocol.posture)}
+    # Columns without a prefix contain the joint spaces in the radiograph. The prefix "nominal" marks the joint spaces
+    # in the specification of the knee.
     nominal = {f"nominal_{name}": knee.pop(name) for name in ("jsw_medial_mm", "jsw_lateral_mm")}
     row |= {"jsw_medial_mm": truth.jsw_medial_mm, "jsw_lateral_mm": truth.jsw_lateral_mm} | nominal
     for name in ("grade", "grade_table"):
         knee.pop(name)
-    row |= {**knee, **{name: json.dumps(knee[name]) for name in ("shape", "osteophytes", "cysts")}} | protocol | stands
+    row |= {**knee, **{name: json.dumps(knee[name]) for name in ("shape", "osteophytes", "cysts")}} | protocol | posture
     row |= {f"truth_{name}": value for name, value in _make_truth_columns(truth).items()}
     return row | {f"audit_{name}": count for name, count in radiograph.audit.items()}
 
 
 def _make_truth_columns(truth: Truth) -> Row:
-    """Convert labels to manifest columns with one number each; landmarks outside the view are left out."""
+    """Convert the labels of a radiograph to manifest columns, with one number per column."""
     columns: Row = {f"jsw_{round(1000 * at):03d}_mm": round(mm, 4) for at, mm in truth.jsw_at_mm.items()}
     for name, (row, col) in truth.landmarks_px.items():
         place = name.removesuffix("_joint_line")

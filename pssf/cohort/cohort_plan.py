@@ -1,4 +1,4 @@
-"""Plan a cohort: sample its subjects, knees and radiographs from a seed, before anything is simulated."""
+"""Plan a cohort: sample its subjects, knees and radiographs from a seed, before the simulation."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -28,19 +28,21 @@ from ..model.sampling.knee_sampling import (
     sample_shared_fields,
 )
 
-# Keys of the random streams of a cohort seed. Streams of a knee have the knee index before the key, so that results do
-# not depend on the order of the knees. `retest_plan` has key 4, and the response curves of the study have key 6.
-# Stream of the knee parameters.
+# The following keys separate the random streams of one cohort seed. A stream of a single knee is identified by the knee
+# index and the key, so results do not depend on the order of the knees. `retest_plan` uses key 4, and the response
+# curves of the study use key 6.
+
+# Key of the random stream of the knee parameters.
 _SHAPE = 0
-# Stream of the noise seeds.
+# Key of the random stream of the noise seeds.
 _NOISE = 3
-# Stream of the acquisition variability.
+# Key of the random stream of the acquisition variability.
 _ACQUISITION = 5
-# Stream of the knee fields that both knees of a subject share.
+# Key of the random stream of the fields that both knees of a subject share.
 _BODY = 2**31
-# Stream of the random numbering of subjects.
+# Key of the random stream of the subject numbers.
 _NUMBERS = 2**31 + 1
-# Stream of the random selection of subjects.
+# Key of the random stream of the subject selection.
 _SOME = 2**31 + 2
 # Current names of presets, keyed by former name.
 _FORMER_PRESET_NAMES = {"people": "population"}
@@ -59,12 +61,12 @@ class Exposure:
     seed : int
         Seed of the noise.
     retest_kind : {"", "noise", "perturbation"}
-        Difference from the first radiograph: "noise" for new noise only, "perturbation" for new positioning. "" if the
-        radiograph is not a repetition.
+        Difference from the first radiograph: "noise" for new noise only, "perturbation" for new positioning; "" if the
+        radiograph is not a repeat.
     repeat_index : int
-        Number of the repetition with the same `retest_kind`, 1 or 2; 0 if the radiograph is not a repetition.
+        Number of the repeat within its `retest_kind`, 1 or 2; 0 if the radiograph is not a repeat.
     source_knee : int or None
-        Index of the knee that is imaged again; None if the radiograph is not a repetition.
+        Index of the knee that is imaged again; None if the radiograph is not a repeat.
     """
 
     name: str
@@ -77,7 +79,7 @@ class Exposure:
 
 @dataclass(frozen=True)
 class Case:
-    """Plan of one knee of a subject and of its radiographs.
+    """Plan of one knee and its radiographs.
 
     Attributes
     ----------
@@ -117,9 +119,9 @@ class Plan:
     retested : int
         Number of knees that are imaged again (`retest_plan.plan_retest`).
     masks : {"none", "tif"}
-        Format of the masks of every radiograph; "none" saves no masks.
+        File format of the segmentation masks of each radiograph; "none" saves no masks.
     definition : CohortPreset or None
-        Preset with all replaced entries; None if the plan was not made from a preset.
+        Preset after the replacement of entries; None if the plan was not made from a preset.
     """
 
     preset: str
@@ -181,7 +183,7 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
         New values of preset entries, such as ``{"knees": [2, 2, 2]}``, ``{"protocols": ["reference"]}``,
         ``{"matrix": 512}`` or ``{"settings": ["mas=3"]}``.
     masks : {"none", "tif"}, default "none"
-        "tif" also saves the masks of every radiograph.
+        File format of the segmentation masks of each radiograph; "none" saves no masks.
 
     Returns
     -------
@@ -191,7 +193,7 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     Raises
     ------
     InputError
-        If a preset, entry or protocol is unknown, or numbers of knees and subjects contradict each other.
+        If a preset, entry or protocol is unknown, or the numbers of knees and subjects are inconsistent.
 
     Warns
     -----
@@ -200,10 +202,11 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
 
     Notes
     -----
-    Both knees of a subject share one body and one grade: sex, stature, age, size and shape of the bones, height of
-    fibula and patella, fabella, cortex, limb and fat. Joint space, alignment, osteophytes, pose and trabeculae are
-    sampled for each knee separately. In patients, these parameters of both knees also correlate within a grade. The
-    published ranges do not report the correlation, so none is assumed.
+    Both knees of a subject share the grade and all properties of the body: sex, stature, age, bone size and shape,
+    heights of fibula and patella, fabella, cortical thickness, limb size and fat thickness. Joint space, alignment,
+    osteophytes, pose and trabeculae are sampled separately for each knee. In patients, the latter parameters also
+    correlate between the two knees within a grade. The published ranges do not report this correlation, so no
+    correlation is assumed.
     """
     preset = _resolve_preset_name(preset)
     require_choice("preset", preset, preset_names())
@@ -220,10 +223,10 @@ def plan_cohort(preset: str, *, seed: int, overrides: Mapping[str, Any] | None =
     protocols = [taken for protocol in meant for taken in _make_variants(protocol, chosen)]
     names = [protocol.name for protocol in protocols]
     if len(set(names)) < len(names) or not names:
-        raise InputError(f"protocols must be one or more names, each once, got {', '.join(names) or 'none'}")
+        raise InputError(f"protocols must be one or more different names, got {', '.join(names) or 'none'}")
     for protocol in protocols:
         if protocol.knee_distance_mm:
-            raise InputError(f"protocols must image one knee, got {protocol.name}, which images two")
+            raise InputError(f"protocols must image one knee, got {protocol.name}, which images two knees")
     cases = []
     laws = load_knee_distributions(chosen.grade_table)
     _require_grades(chosen, laws, {grade: list_tables_with_grade(grade) for grade in range(len(chosen.knees))})
@@ -269,7 +272,7 @@ def _resolve_entry_names(given: Mapping[str, Any]) -> dict[str, Any]:
 def _require_grades(
     preset: CohortPreset, distributions: KneeDistributions, tables_by_grade: Mapping[int, Sequence[str]]
 ) -> None:
-    """Require that the grade table has all requested grades; the error names tables of pssf that have the grades."""
+    """Require that the grade table defines all requested grades; the error lists tables that define them."""
     beyond = [grade for grade, count in enumerate(preset.knees) if count and grade not in distributions.grades.grades]
     if not beyond:
         return
@@ -292,14 +295,14 @@ def _renumber_subjects(cases: Sequence[Case], seed: int) -> list[Case]:
 
 
 def _rename_case(case: Case, subject: int, index: int) -> Case:
-    """Change the numbers of subject and knee of a case, also in the names of its radiographs."""
+    """Change the subject number and the knee index of a case, also in the names of its radiographs."""
     before, now = radiograph_stem(case.subject, case.index), radiograph_stem(subject, index)
     exposures = tuple(replace(taken, name=now + taken.name.removeprefix(before)) for taken in case.exposures)
     return replace(case, subject=subject, index=index, exposures=exposures)
 
 
 def radiograph_stem(subject: int, index: int) -> str:
-    """Build the common beginning of the names of all radiographs of a knee.
+    """Build the prefix that the names of all radiographs of a knee share.
 
     Parameters
     ----------
@@ -311,20 +314,20 @@ def radiograph_stem(subject: int, index: int) -> str:
     Returns
     -------
     str
-        Beginning of the names, such as "s0012_k0015".
+        Prefix of the names, such as "s0012_k0015".
     """
     return f"s{subject:04d}_k{index:04d}"
 
 
 def select_subjects(plan: Plan, subjects: int) -> Plan:
-    """Select subjects of a plan at random from its seed, equally many per grade; their images do not change.
+    """Select random subjects of a plan, the same number per grade; their images do not change.
 
-    Every larger selection includes the smaller selections.
+    The seed of the plan determines the selection. A larger selection includes every smaller selection.
 
     Parameters
     ----------
     plan : Plan
-        Plan of the whole cohort.
+        Plan of the entire cohort.
     subjects : int
         Total number of subjects, a multiple of the number of grades.
 
@@ -336,7 +339,7 @@ def select_subjects(plan: Plan, subjects: int) -> Plan:
     Raises
     ------
     InputError
-        If `subjects` is not a multiple of the number of grades, or is larger than the plan permits.
+        If `subjects` is not a multiple of the number of grades, or exceeds the number of subjects in the plan.
     """
     of_grade: dict[int | None, dict[int, None]] = {}
     for case in plan.cases:
@@ -354,7 +357,7 @@ def select_subjects(plan: Plan, subjects: int) -> Plan:
 
 
 def _assign_subjects(knees: Sequence[int], bilateral: int) -> list[tuple[int, int, str | None]]:
-    """Assign subject, grade and side to every knee; bilateral subjects are distributed in proportion over grades."""
+    """Assign subject, grade and side to every knee; bilateral subjects are in proportion to the knees per grade."""
     for grade, count in enumerate(knees):
         require_integer(f"knees of grade {grade}", count, 0, 100_000, "")
     total = sum(knees)
@@ -378,12 +381,12 @@ def _assign_subjects(knees: Sequence[int], bilateral: int) -> list[tuple[int, in
 
 
 def _resample(protocol: Protocol, matrix: int) -> Protocol:
-    """Change the number of pixels of a protocol; a matrix of 0 returns the same protocol."""
+    """Change the image matrix of a protocol; if `matrix` is 0, return the protocol unchanged."""
     return protocol.resample(matrix) if matrix else protocol
 
 
 def _make_variants(protocol: Protocol, preset: CohortPreset) -> list[Protocol]:
-    """Make variants of a protocol for every beam tilt, and for every dose at each tilt.
+    """Make the variants of a protocol for all combinations of beam tilt and dose.
 
     Variants with the same geometry are consecutive, so that they can share path lengths.
     """
@@ -398,7 +401,7 @@ def _make_variants(protocol: Protocol, preset: CohortPreset) -> list[Protocol]:
 
 
 class _KneeSlot(NamedTuple):
-    """Arguments for sampling one knee: seed, index, subject, grade and side; None means that the side is sampled."""
+    """Group the arguments for sampling one knee; the side is sampled if `side` is None."""
 
     seed: int
     knee_index: int
@@ -430,7 +433,7 @@ def _sample_case(
     return Case(subject=subject, index=number, knee=knee, exposures=tuple(exposures), grade_table=preset.grade_table)
 
 
-@lru_cache(maxsize=1)  # One result is cached, because the other knee of the same subject is sampled next.
+@lru_cache(maxsize=1)  # The cache needs one entry, because both knees of a subject are sampled in succession.
 def _sample_subject_fields(seed: int, subject: int, grade: int, distributions: KneeDistributions) -> Mapping[str, Any]:
     """Sample the fields that both knees of a subject share, from a separate random stream of the subject."""
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_BODY, subject)))

@@ -17,9 +17,9 @@ from ..model.knee import Knee
 from ..model.limb_axes import STRAIGHT_LEG_DEG
 from ..model.radiograph import Truth
 
-# Codes in the column SIDE of the Osteoarthritis Initiative, keyed by side of the knee.
+# Codes of the Osteoarthritis Initiative (OAI) in the column SIDE, keyed by knee side.
 _SIDE_CODES = {"right": 1, "left": 2}
-# Readings that are exported only with the name and sign convention of the Osteoarthritis Initiative.
+# Readings that are exported only under their name and sign convention in the Osteoarthritis Initiative.
 _OAI_RENAMED_READINGS = ("hip_knee_ankle_deg",)
 
 
@@ -29,7 +29,7 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
     Parameters
     ----------
     cohort : str or Path
-        Folder that `make_cohort` has filled.
+        Folder of a cohort that `make_cohort` has made.
     out : str or Path
         Output folder; must differ from `cohort`.
 
@@ -41,36 +41,38 @@ def write_labels(cohort: str | Path, out: str | Path) -> list[Path]:
     Raises
     ------
     InputError
-        If `cohort` has no complete cohort, or has a radiograph that is not frontal. If `out` is the same folder. If the
-        disk is full or cannot be written.
+        If `cohort` contains no complete cohort, or a radiograph is not frontal. If `out` is the same folder as
+        `cohort`, or the disk is full or not writable.
 
     Notes
     -----
     ``readings.csv`` has one row per radiograph. The following columns have the names of the Osteoarthritis
-    Initiative (OAI), without the prefix of the visit, such as V00:
+    Initiative (OAI), without the visit prefix, such as V00:
 
     - ID; SIDE (1 right, 2 left); XRKL and the OARSI grades (`model.oarsi_grades`).
     - HKANGLE, hip-knee-ankle angle in degrees; varus is negative.
-    - MCMJSW, minimum medial joint space; JSW150 to JSW300 (medial) and LJSW700 to LJSW900 (lateral); mm.
+    - MCMJSW, minimum medial joint space width; JSW150 to JSW300 (medial) and LJSW700 to LJSW900 (lateral), joint space
+      widths at fixed locations; all in mm.
 
-    Further columns have names of pssf:
+    The other columns have names defined by pssf:
 
     - XRKL_READ, grade of the simulated reader; absent without a simulated reader.
-    - jsw_medial_mm (the same as MCMJSW) and jsw_lateral_mm, minimum joint spaces in the radiograph.
-    - nominal_jsw_medial_mm and nominal_jsw_lateral_mm, joint spaces in the specification of the knee.
+    - jsw_medial_mm (equal to MCMJSW) and jsw_lateral_mm, minimum joint space widths in the radiograph.
+    - nominal_jsw_medial_mm and nominal_jsw_lateral_mm, joint space widths in the specification of the knee.
     - inter_margin_mm, height of the anterior margin of the medial plateau above its posterior margin. The OAI column
-      TPCFDS, the distance from plateau to rim, has no sign.
-    - depths of attrition in mm, femorotibial angle, tibial slope and Insall-Salvati ratio (`model.limb_axes`).
+      TPCFDS, the distance from plateau to rim, is unsigned.
+    - attrition depths in mm, femorotibial angle, tibial slope and Insall-Salvati ratio (`model.limb_axes`).
 
-    ``landmarks/*.pts`` has the sixteen contour landmarks, ``coco.json`` the same as COCO keypoints.
-    ``images/GRADE/*.png`` has 8-bit images processed for display, in the layout of torchvision's ImageFolder.
+    ``landmarks/*.pts`` contains the sixteen contour landmarks, and ``coco.json`` contains the same landmarks as COCO
+    keypoints. ``images/GRADE/*.png`` contains 8-bit images processed for display, in the layout of torchvision's
+    ImageFolder.
     """
     cohort, out = Path(cohort), Path(out)
     if out.resolve() == cohort.resolve():
-        raise InputError(f"out must be another folder than the folder of the cohort, got {out}")
+        raise InputError(f"out must differ from the cohort folder, got {out}")
     manifest = cohort / "manifest.csv"
     if not manifest.exists():
-        raise InputError(f"folder must have a finished cohort with manifest.csv, got {cohort}")
+        raise InputError(f"folder must contain a completed cohort with manifest.csv, got {cohort}")
     listed = read_csv(manifest, ("radiograph", "subject", "file"))
     # All radiographs are checked before the first file is written, so that no export is incomplete.
     for made in listed:
@@ -104,11 +106,11 @@ def _require_contours(cohort: Path, file: str) -> None:
         raise InputError(f"file {file} must be a radiograph of one knee, got a radiograph without a knee")
     if not set(CONTOUR_LANDMARKS) <= set(made["truth"].landmarks_px):
         seen = made["protocol"].projection
-        raise InputError(f"file {file}: projection must be AP or PA, which show the contours, got {seen!r}")
+        raise InputError(f"file {file}: projection must be AP or PA to show the contour landmarks, got {seen!r}")
 
 
 def _make_readings_row(name: str, subject: str, knee: Knee, truth: Truth) -> dict[str, Any]:
-    """Make the row of readings.csv for one radiograph."""
+    """Build the row of readings.csv for one radiograph."""
     spaces = {f"{'JSW' if at < 0.5 else 'LJSW'}{round(1000 * at)}": round(mm, 4) for at, mm in truth.jsw_at_mm.items()}
     return {
         "ID": subject,

@@ -1,4 +1,4 @@
-"""Plan repeated radiographs of some knees of a cohort, to measure the reliability of features."""
+"""Plan repeat radiographs of selected knees of a cohort, to measure the reliability of features."""
 
 from dataclasses import replace
 
@@ -13,7 +13,7 @@ from .cohort_plan import (
     radiograph_stem,
 )
 
-# Key of the random stream of repeated radiographs; `cohort_plan` has the other keys.
+# Key of the random stream of repeat radiographs; `cohort_plan` defines the other keys.
 _RETEST_STREAM = 4
 # Change of rotation on repositioning, in degrees (assumed: the precision of a careful radiographer).
 _ROTATION_DEG = 2.0
@@ -24,25 +24,24 @@ _BEAM_DEG = 1.0
 
 
 def plan_retest(plan: Plan, *, reference: str = "reference") -> Plan | None:
-    """Plan repeated radiographs of some knees of a cohort under one protocol.
+    """Plan repeat radiographs of selected knees of a cohort with one protocol.
 
-    The knees are balanced over the grades, with one knee per subject. Each knee is imaged twice with new noise, and
-    twice after repositioning in opposite directions. Repositioning changes rotation and flexion by 2 degrees and the
-    beam angle by 1 degree, with random signs. Flexion is at least 0. Each radiograph has new noise.
+    The knees are balanced over the grades, with one knee per subject. Each knee is imaged twice with new noise only,
+    and twice with new noise after repositioning in opposite directions. Repositioning changes rotation and flexion by 2
+    degrees and the beam angle by 1 degree, with random signs. Negative flexion is set to 0.
 
     Parameters
     ----------
     plan : Plan
-        Cohort; `Plan.retested` is the number of knees to repeat.
+        Plan of the cohort; `plan.retested` is the number of knees to image again.
     reference : str, default "reference"
-        Name of the protocol of the repeated radiographs.
+        Name of the protocol for the repeat radiographs.
 
     Returns
     -------
     Plan or None
-        Plan of the repeated radiographs, with masks. `Exposure.retest_kind` is "noise" or "perturbation". A
-        repositioned knee is a separate case, whose index is larger than all indices of `plan`. None if the plan repeats
-        no knee.
+        Plan of the repeat radiographs, with masks. `Exposure.retest_kind` is "noise" or "perturbation". A repositioned
+        knee is a separate case, whose index is larger than all indices of `plan`. None if `plan.retested` is 0.
 
     Raises
     ------
@@ -58,12 +57,12 @@ def plan_retest(plan: Plan, *, reference: str = "reference") -> Plan | None:
     for case in _select_balanced_cases(plan):
         at = beyond + 2 * case.index
         cases += _make_retest_cases(plan.seed, case, protocols[reference], at)
-    # Masks are saved, because the study compares segmented bones with them. The repeated radiographs are few.
+    # Masks are saved, because the study compares segmented bones with the masks of the few repeat radiographs.
     return Plan(preset=f"{plan.preset}, retest", seed=plan.seed, repeats=plan.repeats, cases=tuple(cases), masks="tif")
 
 
 def _select_balanced_cases(plan: Plan) -> list[Case]:
-    """Select `plan.retested` cases, at most one per subject; grades take turns, in the order of the subjects."""
+    """Select `plan.retested` cases, at most one per subject; cycle through the grades in the order of the subjects."""
     queues: dict[int | None, list[Case]] = {}
     seen: set[int] = set()
     for case in plan.cases:
@@ -82,7 +81,7 @@ def _make_retest_cases(seed: int, case: Case, protocol: Protocol, first_index: i
     signs = np.random.default_rng(root.spawn(1)[0]).choice([-1.0, 1.0], 3)
 
     def exposure(kind: str, turn: int, protocol: Protocol, seed: int) -> Exposure:
-        """Plan one repeated radiograph of the knee."""
+        """Plan one repeat radiograph of the knee."""
         name = f"{radiograph_stem(case.subject, case.index)}_{kind}{turn}"
         return Exposure(name, protocol, seed, kind, turn, source_knee=case.index)
 

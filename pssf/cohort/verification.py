@@ -16,7 +16,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Verification:
-    """Result of the verification of a cohort.
+    """Report the result of verifying a cohort.
 
     Attributes
     ----------
@@ -34,10 +34,10 @@ class Verification:
 
 
 def verify_cohort(folder: str | Path) -> Verification:
-    """Verify that a cohort is complete, unchanged and without extra files.
+    """Verify that a cohort is complete and unchanged, and has no extra files.
 
-    Every image must have the hash that the manifest lists. Every record must match the hash in the record. The manifest
-    must equal the manifest made from the records, byte by byte.
+    Every image must have the hash that the manifest lists. Every knee record must match the hash that it contains. The
+    manifest must be byte-identical to the manifest rebuilt from the knee records.
 
     Parameters
     ----------
@@ -56,7 +56,7 @@ def verify_cohort(folder: str | Path) -> Verification:
     """
     folder = Path(folder)
     if not os.path.exists(folder / "cohort.json"):
-        raise InputError(f"folder must be made by pssf cohort, got {folder}: the folder has no cohort.json")
+        raise InputError(f"folder must contain a cohort made by pssf cohort, got {folder}, which has no cohort.json")
     rows, faults = _read_manifest(folder)
     claim, asked = _check_cohort_request(folder, rows)
     faults += asked
@@ -68,14 +68,14 @@ def verify_cohort(folder: str | Path) -> Verification:
     for name in SUBFOLDERS:
         for path in atomic_write.find_temporary_files(folder / name):
             faults.append(
-                f"{path.relative_to(folder)}: unfinished (the writer was killed; run pssf cohort again to remove it)"
+                f"{path.relative_to(folder)}: unfinished (the run was interrupted; run pssf cohort again to remove it)"
             )
     files = len(_list_file_hashes(rows)) + len({row["knee"] for row in rows}) + 2
     return Verification(radiographs=len(rows), files=files, faults=tuple(faults))
 
 
 def _read_manifest(folder: Path) -> tuple[list[Row], list[str]]:
-    """Read the rows of the manifest, and the faults found in it."""
+    """Read the manifest; return its rows and a list of its faults."""
     path = folder / "manifest.csv"
     if not path.exists():
         return [], [f"{path.name}: missing (the cohort is not finished; run pssf cohort again with the same options)"]
@@ -88,7 +88,7 @@ def _read_manifest(folder: Path) -> tuple[list[Row], list[str]]:
 
 
 def _check_cohort_request(folder: Path, rows: list[Row]) -> tuple[str, list[str]]:
-    """Return the hash of cohort.json, and a fault if the manifest has other radiographs than cohort.json."""
+    """Return the hash of cohort.json, and a fault if the manifest and cohort.json list different radiographs."""
     path = folder / "cohort.json"
     try:
         asked: cohort_records.CohortFile = read_json(
@@ -124,9 +124,9 @@ def _check_file(folder: Path, file: str, expected_sha256: str) -> Iterator[str]:
 
 
 def _check_records(folder: Path, rows: list[Row], claim: str) -> Iterator[str]:
-    """Yield faults of the records: damaged, missing, made for another cohort.json, or different from the manifest.
+    """Yield faults of the knee records: damaged, missing, made for another cohort.json, or unlike the manifest.
 
-    `claim` is the hash of cohort.json, or "" if that file is damaged.
+    `claim` is the hash of cohort.json, or "" if cohort.json is damaged.
     """
     given: list[Row] = []
     others: list[str] = []
@@ -147,7 +147,7 @@ def _check_records(folder: Path, rows: list[Row], claim: str) -> Iterator[str]:
         others = ["cohort.json: changed (the records were made for another cohort.json)"]
     yield from others
     if rows and whole and not cohort_records.has_content(folder / "manifest.csv", cohort_records.encode_csv(given)):
-        yield "manifest.csv: changed (it differs from the records of its knees)"
+        yield "manifest.csv: changed (the knee records have other content)"
 
 
 def _find_extra_files(folder: Path, rows: list[Row]) -> Iterator[str]:

@@ -1,7 +1,7 @@
-"""Functions for all other subpackages: input checks, timing, progress display, compilation and parallel work.
+"""Provide input checks, timing, progress display, compilation and parallel work for all other subpackages.
 
 checks             validation of input; `InputError` names the value and the allowed values
-keyword_arguments  rejection of unknown keyword arguments, and replacement of earlier names
+keyword_arguments  rejection of unknown keyword arguments, and replacement of former names
 resample           block averages of images, and interpolation back to full resolution
 stage_timer        wall time, rate and remaining time of the stages of a run
 progress_display   progress bar with rate and remaining time

@@ -1,4 +1,4 @@
-"""Check input; every error names the argument, the allowed values and the given value."""
+"""Check arguments; every error message states the argument, its allowed values and its actual value."""
 
 import math
 import re
@@ -15,14 +15,14 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
-# Length of a word, in characters, from which a message shortens the word. Real paths and numbers are shorter.
+# Minimum length of words that an error message shortens, in characters (assumed: paths and numbers are shorter).
 _LONG = 600
-# Number of characters that a message keeps at each end of a shortened word.
+# Number of characters that remain at each end of a shortened word.
 _KEPT = 80
 
 
 class InputError(ValueError):
-    """Report an input that cannot be used, in a message of one line.
+    """Report invalid input in a one-line message.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ def format_one_line(text: str) -> str:
     Parameters
     ----------
     text : str
-        Any text.
+        Text to format.
 
     Returns
     -------
@@ -53,28 +53,28 @@ def format_one_line(text: str) -> str:
 
 
 def _shorten_word(word: re.Match[str]) -> str:
-    """Keep the beginning and end of a long word, and write its length between them."""
+    """Replace the middle of a long word by the word's length in characters."""
     return f"{word[0][:_KEPT]}...({len(word[0])} characters)...{word[0][-_KEPT:]}"
 
 
 def format_value(value: Any) -> str:
-    """Format a value for a message; describe integers that have too many digits to be written out.
+    """Format a value for an error message; an integer that is too long is replaced by its number of digits.
 
     Parameters
     ----------
     value : Any
-        Value to show.
+        Value to format.
 
     Returns
     -------
     str
-        The representation of the value, or a description that gives the number of digits.
+        Representation of the value, or its number of digits if Python cannot write the value.
     """
     try:
         return repr(value)
     except ValueError:  # Python refuses to write integers with more digits than sys.get_int_max_str_digits().
         if isinstance(value, int):
-            return f"an integer of some {round(abs(value).bit_length() * math.log10(2))} digits"
+            return f"an integer of about {round(abs(value).bit_length() * math.log10(2))} digits"
         return f"a {type(value).__name__} with an integer of more than {sys.get_int_max_str_digits()} digits"
 
 
@@ -84,27 +84,27 @@ def require_path(path: Any, name: str = "path") -> Path:
     Parameters
     ----------
     path : Any
-        Value given by the caller.
+        Value to convert.
     name : str, default "path"
         Name of the argument in the error message.
 
     Returns
     -------
     Path
-        Path made from the argument.
+        The value as a Path.
 
     Raises
     ------
     InputError
-        If the value is neither text nor a path of text, or if it contains a null byte.
+        If the value is neither a string nor a Path, or contains a null byte.
     """
     if not isinstance(path, str | Path) or "\0" in str(path):
-        raise InputError(f"{name} must be text or a Path, without a null byte, got {format_value(path)}")
+        raise InputError(f"{name} must be text or a Path without null bytes, got {format_value(path)}")
     return Path(path)
 
 
 def require_in_range(name: str, value: float, low: float, high: float, unit: str) -> None:
-    """Require a number from low to high.
+    """Require that a number is between two limits, both included.
 
     Parameters
     ----------
@@ -125,13 +125,13 @@ def require_in_range(name: str, value: float, low: float, high: float, unit: str
         If the value is not a number, or is out of range.
     """
     number = isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool)
-    if not number or not low <= value <= high:  # The comparison is negated so that NaN is rejected, too.
+    if not number or not low <= value <= high:  # The comparison is negated so that NaN is also rejected.
         given, allowed = (f"{text} {unit}".rstrip() for text in (format_value(value), f"{low:g} and {high:g}"))
         raise InputError(f"{name} must be between {allowed}, got {given}")
 
 
 def require_integer(name: str, value: int, low: int, high: int, unit: str) -> None:
-    """Require a whole number from low to high.
+    """Require that a number is an integer between two limits, both included.
 
     Parameters
     ----------
@@ -157,7 +157,7 @@ def require_integer(name: str, value: int, low: int, high: int, unit: str) -> No
 
 
 def require_workers(workers: int, unit: str = "threads") -> None:
-    """Require a number of workers from 1 to 256.
+    """Require that a number of workers is between 1 and 256.
 
     Parameters
     ----------
@@ -175,7 +175,7 @@ def require_workers(workers: int, unit: str = "threads") -> None:
 
 
 def require_seed(seed: int) -> None:
-    """Require a seed: a whole number from 0 to 2**63 - 1.
+    """Require that a seed is a whole number from 0 to 2**63 - 1.
 
     Parameters
     ----------
@@ -194,12 +194,12 @@ RNGLike = int | np.random.Generator
 
 
 def resolve_generator(rng: RNGLike) -> np.random.Generator:
-    """Create a random generator from a seed, or return the generator that is given (Scientific Python SPEC 7).
+    """Create a random generator from a seed, or return a generator unchanged (Scientific Python SPEC 7).
 
     Parameters
     ----------
     rng : int or numpy.random.Generator
-        Seed from 0 to 2**63 - 1, or a generator. A given generator is not copied, so sampling advances its state.
+        Seed from 0 to 2**63 - 1, or a generator. A generator is not copied, so sampling advances its state.
 
     Returns
     -------
@@ -215,7 +215,7 @@ def resolve_generator(rng: RNGLike) -> np.random.Generator:
 
 
 def resolve_seed(rng: RNGLike) -> int:
-    """Return a seed as it is, or sample one from a generator.
+    """Return a seed unchanged, or sample a seed from a generator.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def resolve_seed(rng: RNGLike) -> int:
 
 
 def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
-    """Require one of the listed values; the error suggests the nearest name.
+    """Require that a value is one of the allowed values; the error message suggests the most similar name.
 
     Parameters
     ----------
@@ -266,7 +266,7 @@ def require_choice(name: str, value: Any, allowed: Collection[Any]) -> None:
 
 
 def _is_same(value: Any, allowed_value: Any) -> bool:
-    """Compare value and type: True and 1.0 equal 1 in Python, but are not a grade."""
+    """Compare values and types, because True and 1.0 equal 1 in Python but are not valid grades."""
     kinds = [
         next((kind for kind in (bool, Integral, str) if isinstance(of, kind)), type(of))
         for of in (value, allowed_value)
@@ -275,7 +275,7 @@ def _is_same(value: Any, allowed_value: Any) -> bool:
 
 
 def build_from_table(dataclass_type: type[T], table: Mapping[str, Any], label: str) -> T:
-    """Construct a parameter dataclass from a mapping; unknown and missing field names are errors.
+    """Construct a parameter dataclass from a mapping; reject unknown and missing field names.
 
     Parameters
     ----------
@@ -289,7 +289,7 @@ def build_from_table(dataclass_type: type[T], table: Mapping[str, Any], label: s
     Returns
     -------
     dataclass instance
-        Object of the given dataclass.
+        Instance of `dataclass_type`.
 
     Raises
     ------
@@ -320,23 +320,23 @@ def _required_fields(dataclass_type: Any) -> list[str]:
 
 
 def suggest_name(value: Any, allowed: Collection[Any]) -> str:
-    """Format a suggestion of the valid name that is nearest to a given text.
+    """Format a suggestion of the valid name that is most similar to a value.
 
     Parameters
     ----------
     value : Any
-        Value given by the user. Only text gets a suggestion.
+        Value from the user; only text leads to a suggestion.
     allowed : collection
         Valid names.
 
     Returns
     -------
     str
-        " (did you mean '...'?)" with the nearest name; an empty string if no name is near.
+        " (did you mean '...'?)" with the most similar name; an empty string if no name is similar.
 
     Notes
     -----
-    A name is near if its spelling is similar, or if the text is a word of the name: ``kv`` is near ``tube_kv``.
+    A name is similar if the spelling is close, or if `value` is one of its words: ``kv`` is similar to ``tube_kv``.
     """
     if not isinstance(value, str) or not value:
         return ""

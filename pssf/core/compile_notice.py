@@ -1,7 +1,7 @@
-"""Log a message at the first compilation of a kernel, which delays a process by some seconds.
+"""Log a message when the first kernel is compiled, because the compilation delays the process by several seconds.
 
-numba stores compiled code on disk, so compilation happens once per installation or change of the code. The import of
-this module registers the listener.
+numba stores compiled code on disk, so compilation happens once per installation or change of the code. Importing this
+module registers the event listener.
 """
 
 import logging
@@ -25,7 +25,8 @@ class _FirstCompilationLogger(event.Listener):
     def on_start(self, event: Any) -> None:
         """Log the message if a kernel of this package is compiled for the first time."""
         module = getattr(event.data["dispatcher"].py_func, "__module__", "") or ""
-        # The parent is determined here, because a new worker process imports this module before it knows its parent.
+        # parent_process() is not called earlier, because a worker process imports this module before its parent is
+        # known.
         if not self.was_logged and parent_process() is None and module.split(".")[0] == "pssf":
             self.was_logged = True
             # The level is WARNING, which Python prints even if logging is not configured.

@@ -1,7 +1,7 @@
-"""Cache of compiled kernels on disk, which treats every fault of a file or folder as a cache miss.
+"""Cache compiled kernels on disk, and treat every file or folder error as a cache miss.
 
-The cache of numba raises an error if a file is damaged, or if neither the source folder nor the user's cache folder is
-writable. `KernelCache` compiles the function again instead.
+The cache class of numba raises an error if a file is damaged, or if neither the source folder nor the user's cache
+folder is writable. `KernelCache` compiles the function again instead.
 """
 
 import hashlib
@@ -43,7 +43,7 @@ def make_kernel_cache(function: Any) -> FunctionCache | NullCache:
 
 
 class _TemporaryLocator(_SourceFileBackedLocatorMixin, _CacheLocator):
-    """Locate the cache in a private subfolder of the folder for temporary files; other users cannot write to it."""
+    """Locate the cache in a subfolder of the temporary folder, without write access for other users."""
 
     def __init__(self, function: Any, file: str) -> None:
         self._py_file = file
@@ -51,7 +51,7 @@ class _TemporaryLocator(_SourceFileBackedLocatorMixin, _CacheLocator):
         self._folder = Path(tempfile.gettempdir()) / f"pssf-numba-{_user_id()}"
 
     def ensure_cache_path(self) -> None:
-        """Create the folders.
+        """Create the private folder and the cache folder inside it.
 
         Raises
         ------
@@ -74,7 +74,7 @@ def _user_id() -> str:
 
 
 def _require_private_folder(folder: Path) -> None:
-    """Raise PermissionError if another user owns a folder or can write to it, because code from cache files is run."""
+    """Raise PermissionError if another user owns a folder or can write to it, because cached code is executed."""
     state = folder.lstat()
     own = not hasattr(os, "getuid") or (state.st_uid == os.getuid() and not state.st_mode & 0o022)
     if not (stat.S_ISDIR(state.st_mode) and own):
@@ -82,21 +82,21 @@ def _require_private_folder(folder: Path) -> None:
 
 
 class _CacheFiles(CompileResultCacheImpl):  # type: ignore[misc]
-    """Choose the cache folder as numba does, and use the folder for temporary files as the last choice."""
+    """Choose the cache folder in the same order as numba, with the temporary folder as the last choice."""
 
     _locator_classes = [*CompileResultCacheImpl._locator_classes, _TemporaryLocator]  # noqa: RUF012  numba reads this attribute as a list.
 
 
 class _CheckedFile(IndexDataCacheFile):  # type: ignore[misc]
-    """Store the type signature and a hash with the code, and load the code only if both match.
+    """Store compiled code with its type signature and a hash, and load the code only if both match.
 
-    The signature is needed, because two processes that compile a function for different types at the same time choose
-    the same file name.
+    Two processes that compile a function for different types at the same time choose the same file name. The type
+    signature identifies the correct code.
     """
 
     def _load_index(self) -> Any:
         """Load the index of the cache; return an empty index if the file is damaged."""
-        # A damaged index can raise any error in pickle. The next save writes a new index.
+        # pickle can raise any exception for a damaged index. The next save writes a new index.
         with suppress(Exception):
             return super()._load_index()
         return {}
@@ -157,7 +157,7 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         Any
             The compiled code; None if no code is stored or the file is damaged.
         """
-        with suppress(Exception):  # A damaged file can raise any error in pickle.
+        with suppress(Exception):  # pickle can raise any exception for a damaged file.
             return super().load_overload(sig, target_context)
         return None
 

@@ -1,4 +1,4 @@
-"""Check keyword arguments: reject unknown names with a suggestion, accept earlier names with a warning."""
+"""Check keyword arguments: reject unknown names with a suggestion, and accept former names with a warning."""
 
 import inspect
 import warnings
@@ -15,12 +15,13 @@ _KEYWORD_KINDS = (inspect.Parameter.KEYWORD_ONLY, inspect.Parameter.POSITIONAL_O
 def check_keywords(**earlier: str) -> Callable[[F], F]:
     """Decorate a function or dataclass so that its keyword arguments are checked before it is called.
 
-    An unknown keyword raises InputError with the nearest valid name. An earlier name is replaced by the current name.
+    An unknown keyword raises InputError, which suggests the most similar valid name. A former name is replaced by the
+    current name.
 
     Parameters
     ----------
     **earlier : str
-        Current name of each keyword argument, keyed by earlier name.
+        Current name of each keyword argument, keyed by former name.
 
     Returns
     -------
@@ -30,7 +31,7 @@ def check_keywords(**earlier: str) -> Callable[[F], F]:
     Warns
     -----
     DeprecationWarning
-        When the decorated function is called with an earlier name.
+        When the decorated function is called with a former name.
     """
 
     def decorated(target: F) -> F:
@@ -57,7 +58,7 @@ def check_keywords(**earlier: str) -> Callable[[F], F]:
 def _resolve_keywords(
     target_name: str, named: Mapping[str, Any], names: Collection[str], earlier: Mapping[str, str], accepts_any: bool
 ) -> dict[str, Any]:
-    """Replace earlier names of keyword arguments by current ones; raise InputError for unknown names and duplicates."""
+    """Replace former names of keyword arguments by current names; reject unknown names and duplicates."""
     resolved = {}
     for name, value in named.items():
         now = earlier.get(name, name)
@@ -65,7 +66,7 @@ def _resolve_keywords(
             if now in named:
                 raise InputError(f"{target_name}: got both {now} and its former name {name}; give only {now}")
             warnings.warn(
-                f"{target_name}: {name} is now {now}; the earlier name will be removed; use {now}",
+                f"{target_name}: {name} is now {now}; the former name will be removed; use {now}",
                 DeprecationWarning,
                 stacklevel=3,
             )
@@ -78,16 +79,16 @@ def _resolve_keywords(
 
 
 def update_field_names(table: Mapping[str, Any], earlier: Mapping[str, str], label: str) -> dict[str, Any]:
-    """Replace earlier field names of a table read from a file by current ones.
+    """Replace former field names by current names in a table that was read from a file.
 
     Parameters
     ----------
     table : mapping of str to Any
         Field values, keyed by field name.
     earlier : mapping of str to str
-        Current field names, keyed by earlier name.
+        Current field names, keyed by former name.
     label : str
-        Name of the file or object, with which every message begins.
+        Name of the file or object, shown at the start of every message.
 
     Returns
     -------
@@ -97,18 +98,18 @@ def update_field_names(table: Mapping[str, Any], earlier: Mapping[str, str], lab
     Raises
     ------
     InputError
-        If the table has both names of a field.
+        If the table contains both the former and the current name of a field.
 
     Warns
     -----
     DeprecationWarning
-        If the table has an earlier name.
+        If the table contains a former name.
     """
     return _resolve_keywords(label, table, (), earlier, accepts_any=True)
 
 
 def renamed_attribute(name: str) -> property:
-    """Make a property for the earlier name of an attribute.
+    """Make a property for the former name of an attribute.
 
     Parameters
     ----------
@@ -123,7 +124,7 @@ def renamed_attribute(name: str) -> property:
 
     def get(self: Any) -> Any:
         warnings.warn(
-            f"this attribute of {type(self).__name__} is now {name}; the earlier name will be removed",
+            f"a {type(self).__name__} attribute is now {name}; the former name will be removed; use {name}",
             DeprecationWarning,
             stacklevel=2,
         )

@@ -14,7 +14,8 @@ from .stage_timer import Stage
 def show_progress_bar(name: str, stage: Stage) -> Iterator[None]:
     """Show the progress of a stage while the context is open.
 
-    On a terminal, a bar shows rate and remaining time. Otherwise a line of text is printed at each tenth of the work.
+    On a terminal, a bar shows rate and remaining time. Otherwise, a line of text is printed after each tenth of the
+    work.
 
     Parameters
     ----------
@@ -67,7 +68,7 @@ def show_status(message: str) -> Iterator[Callable[[str], None]]:
     Yields
     ------
     callable
-        Function that replaces the message by the text it is called with.
+        Function that takes a new text and displays it instead of the message.
     """
     console = Console(stderr=True)
     if not console.is_terminal:

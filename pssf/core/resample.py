@@ -13,11 +13,11 @@ _BAND_ROWS = 512
 
 
 class RowSliceable(Protocol):
-    """Protocol of an image that returns slices of rows: an array, or a map in a compressed format."""
+    """Define the interface of an image that returns slices of rows, such as an array or a compressed map."""
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Numbers of rows and columns."""
+        """Number of rows and number of columns."""
 
     def __getitem__(self, rows: slice, /) -> NDArray[Any]: ...
 
@@ -45,7 +45,7 @@ def downsample_by_blocks(image: RowSliceable, step: int) -> Array:
 
 
 def downsample_by_area(image: Array, side: float) -> Array:
-    """Average an image over squares; their edge length need not be a whole number of pixels.
+    """Average an image over squares whose edge length may be a fractional number of pixels.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def downsample_by_area(image: Array, side: float) -> Array:
     Returns
     -------
     (rows // side, cols // side) float64 array
-        Mean of each square. Remaining pixels at the lower and right border of the image are left out.
+        Mean of each square. Pixels that do not fill a square at the lower and right border of the image are ignored.
     """
     down, across = (_overlap_weights(length, side) for length in image.shape)
     return np.asarray((across @ (down @ image).T).T)
@@ -74,13 +74,13 @@ def _overlap_weights(length: int, side: float) -> sparse.csr_array:
 
 
 def _average_whole_blocks(image: NDArray[np.integer | np.floating], step: int) -> Array:
-    """Average an image whose numbers of rows and columns are multiples of `step`."""
+    """Average an image over blocks, for numbers of rows and columns that are multiples of `step`."""
     blocks = image.reshape(image.shape[0] // step, step, image.shape[1] // step, step)
     return np.asarray(np.einsum("iajb->ij", blocks, dtype=np.float64)) / step**2
 
 
 def _average_partial_blocks(image: NDArray[np.integer | np.floating], step: int) -> Array:
-    """Average an image whose last blocks may have fewer than `step` rows or columns."""
+    """Average an image over blocks, the last of which may have fewer than `step` rows or columns."""
     sums = np.add.reduceat(image.astype(np.float64), np.arange(0, image.shape[0], step), axis=0)
     sums = np.add.reduceat(sums, np.arange(0, image.shape[1], step), axis=1)
     sizes = [np.diff(np.append(np.arange(0, n, step), n)) for n in image.shape]
@@ -97,7 +97,7 @@ def upsample_linear(coarse: Array, step: int, shape: tuple[int, ...]) -> NDArray
     step : int
         Edge length of a block, in px.
     shape : tuple of int
-        Numbers of rows and columns of the interpolated map.
+        Number of rows and number of columns of the interpolated map.
 
     Returns
     -------

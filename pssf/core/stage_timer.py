@@ -52,15 +52,16 @@ class Stage:
     total : int
         Number of items to do; 0 if unknown.
     already_done : int
-        Items that an earlier run had done. They are included in the total, but not in the rate.
+        Number of items that an earlier run completed. They count towards the total, but not towards the rate.
     newly_done : int
-        Items done in this run.
+        Number of items completed in this run.
     completion_times_s : list of float
         Time at which each new item was done, in s from the start of the stage.
     seconds : float
         Wall time of the stage, in s; 0 until the stage has ended.
     time_exponent : float or None
-        Exponent of the growth of time with the number of items; None if it must be estimated from the times.
+        Exponent of the increase of run time with the number of items; None if the exponent must be estimated from
+        `completion_times_s`.
     on_change : callable
         Function that is called with the number of items done whenever the number changes.
     """
@@ -77,11 +78,11 @@ class Stage:
 
     @property
     def done(self) -> int:
-        """Number of items done by this run and by an earlier run."""
+        """Number of items completed by this run and by an earlier run."""
         return self.already_done + self.newly_done
 
     def add_already_done(self, count: int) -> None:
-        """Count items that an earlier run had done, and start to measure the rate.
+        """Count items that an earlier run completed, and restart the measurement of the rate.
 
         Parameters
         ----------
@@ -93,7 +94,7 @@ class Stage:
         self.on_change(self.done)
 
     def advance(self, count: int = 1) -> None:
-        """Count items that were just done.
+        """Count newly completed items.
 
         Parameters
         ----------
@@ -110,7 +111,7 @@ class Stage:
         self.seconds = self._now() - self._start_s
 
     def rate_per_minute(self) -> float | None:
-        """Compute the mean rate until the last item was done.
+        """Compute the mean rate up to the last completed item.
 
         Returns
         -------
@@ -141,7 +142,7 @@ class Stage:
 
 
 class Timer:
-    """Measure the stages of a run and keep them in order.
+    """Measure the stages of a run and store them in the order of their start.
 
     Parameters
     ----------
@@ -177,7 +178,7 @@ class Timer:
 
     @contextmanager
     def stage(self, name: str, unit: str = "", total: int = 0) -> Iterator[Stage]:
-        """Time a stage while the context is open, even if the work fails.
+        """Time a stage while the context is open; the time is also recorded if the work fails.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
-"""Tables of the package, read once as typed, frozen records.
+"""Load the tables of the package once, as typed and frozen records.
 
 data_files     TOML tables and protocols, by name or path
-user_files     safe reading of files named by the user
+user_files     safe reading of files that the user specifies
 table_records  conversion of a table to a typed record
 array_cache    computed arrays, shipped with the package or stored in the user's cache folder
 code_hash      hashes of code and tables, which identify the version that made a result
@@ -10,9 +10,9 @@ anatomy        template anatomy, shape model, soft tissue, trabecular bone, tiss
 imaging        detectors, scatter kernel, display processing, acquisition variability, DICOM
 analysis       reference values, localisation, landmarks, reporting guidelines, benchmark
 
-Tables are read only in entry points, which pass the records on as arguments. Functions that compute formulas read no
-table. Entry points are the public functions (`pssf.__all__`), the commands, the construction of input objects, and
-functions that read or write whole files. The starting functions of a cohort, a study and each measurement are entry
-points too. ``tests/test_house.py`` lists the entry points that are not public, and checks that no other function calls
-a reader.
+Only entry points read tables, and pass the records to other functions as arguments. Functions that evaluate formulas
+read no tables. Entry points are the public functions (`pssf.__all__`), the commands, the construction of input objects,
+and functions that read or write whole files. Functions that start a cohort, a study or a measurement are also entry
+points. ``tests/test_house.py`` lists the entry points that are not public, and checks that no other function calls a
+reader.
 """

@@ -1,8 +1,9 @@
-"""Cache of computed arrays that depend only on the package: shipped with it, or stored in the user's cache folder.
+"""Cache computed arrays, either shipped with the package or stored in the user's cache folder.
 
-Some arrays take seconds to compute. The file name contains a digest of the code, tables and library versions that made
-the arrays, so an outdated file is never used. Shipped arrays do not depend on library versions, so they are the same on
-every machine. The environment variable ``PSSF_CACHE_DIR`` names another cache folder; "off" disables the cache.
+The cached arrays depend only on the package, and take seconds to compute. The file name contains a digest of the code,
+tables and library versions that made the arrays, so an outdated file is never used. Shipped arrays do not depend on
+library versions, so they are the same on every machine. The environment variable ``PSSF_CACHE_DIR`` specifies another
+cache folder; the value "off" disables the cache.
 """
 
 import hashlib
@@ -33,12 +34,12 @@ PACKAGED_FOLDER = Path("data", "kept")
 
 @dataclass(frozen=True, kw_only=True)
 class CacheKey:
-    """Code, libraries and other input of cached arrays; after any change, the arrays are computed again.
+    """Identify the code, libraries and other input of cached arrays; after any change, the arrays are recomputed.
 
     Parameters
     ----------
     sources : tuple of str
-        Packages or modules of pssf, such as "anatomy" or "xray/spectrum.py", together with their tables.
+        Subpackages, modules and tables of pssf that affect the arrays, such as "anatomy" or "xray/spectrum.py".
     libraries : tuple of str, default ()
         Names of libraries whose versions affect the arrays.
     facts : bytes, default b""
@@ -51,9 +52,9 @@ class CacheKey:
 
 
 def load_or_make_arrays(name: str, origin: CacheKey, make: Callable[[], Arrays]) -> Arrays:
-    """Load arrays from the package or the cache folder; compute and store missing arrays.
+    """Load arrays from the package or from the cache folder; compute and store missing arrays.
 
-    If a file is damaged or the folder cannot be written, the arrays are computed without an error.
+    If a file is damaged or the cache folder is not writable, the arrays are computed and no error is raised.
 
     Parameters
     ----------
@@ -107,7 +108,7 @@ def save_to_package(name: str, origin: CacheKey, arrays: Arrays) -> None:
 
 @cache
 def compute_cache_digest(origin: CacheKey) -> str:
-    """Compute the digest of the code, tables, library versions and further facts of a cache key.
+    """Compute the digest of the code, tables, library versions and other input in a cache key.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ def compute_cache_digest(origin: CacheKey) -> str:
     Returns
     -------
     str
-        SHA-256 digest, hexadecimal.
+        SHA-256 digest, in hexadecimal digits.
     """
     made_by = [compute_code_hashes(origin.sources), [(name, version(name)) for name in origin.libraries], origin.facts]
     return hashlib.sha256(repr(made_by).encode()).hexdigest()
@@ -143,12 +144,12 @@ def _read_arrays(path: Path) -> Arrays:
 
 
 def _write_arrays(path: Path, arrays: Arrays) -> None:
-    """Write arrays to a temporary file and rename the file, so that readers never see a partial file."""
+    """Write arrays to a temporary file and rename the file, so that no process reads a partial file."""
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{secrets.token_hex(8)}.part")
     try:
-        # The file is opened directly, without tempfile, so that its mode follows the umask and several users can share
-        # it.
+        # The file is opened directly, without tempfile, so that the umask sets its permissions and several users can
+        # share it.
         with open(part, "xb") as handle:
             np.savez_compressed(handle, **arrays)  # type: ignore[arg-type]
         os.replace(part, path)

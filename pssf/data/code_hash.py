@@ -1,4 +1,4 @@
-"""Hashes of the package's modules and tables, which identify the code that made a result."""
+"""Compute hashes of the modules and tables of the package, which identify the code that made a result."""
 
 import hashlib
 from collections.abc import Mapping
@@ -12,8 +12,8 @@ from ..core.checks import InputError
 PACKAGE_ROOT = Path(__file__).resolve().parents[1]
 # Suffixes of the files that are hashed; other files in the package folder are ignored.
 HASHED_SUFFIXES = (".py", ".toml", ".j2", ".html", ".js", ".css", ".svg", ".npz")
-# (table, module that reads it) -> reason why pixels of a radiograph do not depend on the table. Pixels may depend on
-# any other table.
+# Reasons why the pixels of a radiograph do not depend on a table, keyed by the table and the module that reads it.
+# Pixels may depend on all other tables.
 TABLES_NOT_AFFECTING_PIXELS = {
     ("benchmark.toml", "analysis/benchmark_table.py"): "description of the benchmark data set",
     ("benchmark_hashes.toml", "analysis/benchmark_table.py"): "published hashes of images, for comparison",
@@ -40,7 +40,7 @@ TABLES_NOT_AFFECTING_PIXELS = {
 
 
 def list_pixel_data_files() -> tuple[str, ...]:
-    """List the files in ``data/`` on which pixels of a radiograph may depend.
+    """List the files in ``data/`` that may affect the pixels of a radiograph.
 
     Returns
     -------
@@ -54,7 +54,7 @@ def list_pixel_data_files() -> tuple[str, ...]:
 
 @cache
 def compute_code_hashes(parts: tuple[str, ...] = (".",)) -> dict[str, str]:
-    """Compute the hash of the code and tables in each of the given modules or folders.
+    """Compute one hash for each specified module or folder, from its code and tables.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def compute_code_hashes(parts: tuple[str, ...] = (".",)) -> dict[str, str]:
     Raises
     ------
     InputError
-        If the package does not contain a module or folder.
+        If the package does not contain one of the modules or folders.
     """
     return {part: _hash_files(PACKAGE_ROOT / part) for part in parts}
 
@@ -87,21 +87,21 @@ def list_installed_packages() -> dict[str, str]:
 
 
 def require_same_code(digests: Mapping[str, str]) -> None:
-    """Check, on a worker machine, that its code is the same as on the machine where the run started.
+    """Require that this machine has the same code as the machine that started the run.
 
     Parameters
     ----------
     digests : mapping of str to str
-        Hash of each module or folder on the machine where the run started, from `compute_code_hashes`.
+        Hash of each module or folder on the machine that started the run, from `compute_code_hashes`.
 
     Raises
     ------
     InputError
-        If a hash differs. The message names the machine and the modules or folders.
+        If a hash differs. The message names the machine and the modules or folders that differ.
     """
     other = format_differing_parts(digests, compute_code_hashes(tuple(digests)))
     if other:
-        raise InputError(f"code of pssf on {node()} must be that where the run started, got other code ({other})")
+        raise InputError(f"code of pssf on {node()} must be the code that started the run, got other code ({other})")
 
 
 def format_differing_parts(digests: Mapping[str, str], others: Mapping[str, str]) -> str:
@@ -110,7 +110,7 @@ def format_differing_parts(digests: Mapping[str, str], others: Mapping[str, str]
     Parameters
     ----------
     digests : mapping of str to str
-        Part -> hash.
+        Hash of each module or folder on one machine or in one version.
     others : mapping of str to str
         Hash of each module or folder on the other machine or in the other version.
 

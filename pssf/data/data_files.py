@@ -1,4 +1,4 @@
-"""Readers of the package's TOML tables and protocols, and of TOML files named by the user."""
+"""Read the TOML tables and protocols of the package, and TOML files that the user specifies."""
 
 import os
 import tomllib
@@ -10,7 +10,7 @@ from typing import Any
 from ..core.checks import InputError, format_value, require_path
 from .user_files import convert_os_errors, parse_text, read_text
 
-# Largest accepted TOML file of a user, in bytes.
+# Size limit of TOML files that the user specifies, in bytes (assumed).
 _MAX_TOML_BYTES = 2**20
 _PACKAGE = Path(__file__).resolve().parents[1]
 
@@ -44,7 +44,7 @@ def list_protocols() -> list[str]:
 
 
 def read_protocol_fields(name_or_path: str | PathLike[str]) -> tuple[dict[str, Any], str]:
-    """Read the fields of a protocol file; missing fields are taken from its base protocol.
+    """Read the fields of a protocol file; missing fields are inherited from its base protocol.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If the file is missing, unreadable or too large, is not TOML, or contains an integer beyond 64 bits.
+        If the file is missing, unreadable or too large, is not TOML, or contains an integer outside the 64-bit range.
     """
     allowed = "a readable TOML file"
     table: dict[str, Any] = parse_text(
@@ -119,7 +119,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _require_64_bit_integers(value: Any, path: Path) -> None:
-    """Raise InputError for integers beyond 64 bits, which TOML 1.0 does not define."""
+    """Raise InputError for integers outside the 64-bit range, which TOML 1.0 does not define."""
     parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
     for part in parts:
         _require_64_bit_integers(part, path)

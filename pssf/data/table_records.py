@@ -1,4 +1,4 @@
-"""Base class and parser of table records; names and types are checked when a table is read."""
+"""Define the base class and the parser of table records; the parser checks names and types."""
 
 from threading import RLock
 from typing import Any, TypeVar
@@ -30,7 +30,7 @@ def parse_record(record_type: type[T], table: Any, label: str) -> T:
     Parameters
     ----------
     record_type : type
-        Type to convert to, such as a `Record` or ``dict[str, Record]``.
+        Target type, such as a `Record` or ``dict[str, Record]``.
     table : Any
         Content of the table.
     label : str

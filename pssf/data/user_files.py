@@ -1,4 +1,4 @@
-"""Readers of files named by the user. They accept only regular files below a size limit, since a pipe may block."""
+"""Read files that the user specifies; only regular files below a size limit are accepted, since a pipe may block."""
 
 import json
 import os
@@ -14,9 +14,9 @@ from ..core.checks import InputError, format_one_line
 from .table_records import MSGSPEC_LOCK
 
 T = TypeVar("T")
-# Size limit of text files, in bytes.
+# Size limit of text files, in bytes (assumed).
 MOST_TEXT = 2**28
-# Size limit of all other files, in bytes.
+# Size limit of all other files, in bytes (assumed).
 MOST_BYTES = 2**32
 
 
@@ -70,7 +70,7 @@ def require_regular_file(path: Path, max_bytes: int = MOST_BYTES, allowed: str =
     Raises
     ------
     InputError
-        As `read_bytes`.
+        Under the same conditions as `read_bytes`.
     """
     with convert_os_errors(path, allowed):
         _require_regular(path, os.stat(path), max_bytes, allowed)
@@ -115,14 +115,14 @@ def parse_text(
     path : Path
         Path of the file, shown in error messages.
     text : str or file object
-        Input of the parser.
+        Input of the parser function.
     parse : callable
-        Parser.
+        Function that parses `text`.
     fault : str, default "damaged"
         Description of a file that cannot be parsed, such as "not TOML", shown in error messages.
     allowed : str, optional
-        Description of a valid file, shown in error messages. If None, the file is one that the package wrote, and the
-        message advises to delete it.
+        Description of a valid file, shown in error messages. None means that the package wrote the file; the message
+        then advises the user to delete the file.
 
     Returns
     -------
@@ -148,15 +148,15 @@ def read_json(path: Path, record_type: type[T] | Any, *, allowed: str | None = N
     path : Path
         Path of the file.
     record_type : type
-        Type to convert to.
+        Target type of the conversion.
     allowed : str, optional
-        Description of a valid file, shown in error messages. If None, the file is one that the package wrote, and the
-        message advises to delete it.
+        Description of a valid file, shown in error messages. None means that the package wrote the file; the message
+        then advises the user to delete the file.
 
     Returns
     -------
     record_type
-        Content of the file, converted to the type.
+        Content of the file, converted to `record_type`.
 
     Raises
     ------
@@ -173,9 +173,9 @@ def read_json(path: Path, record_type: type[T] | Any, *, allowed: str | None = N
 
 
 def _make_content_error(path: Path, fault: str, allowed: str | None) -> InputError:
-    """Make the error for a file with invalid content; if `allowed` is None, for a file that the package wrote."""
+    """Make the error for a file with invalid content; `allowed` is None for a file that the package wrote."""
     if allowed is None:
-        return InputError(f"file {path} is {fault}; delete it and it is made again")
+        return InputError(f"file {path} is {fault}; delete the file, and pssf makes it again")
     return InputError(f"file {path} must be {allowed}, got: {fault}")
 
 
@@ -193,7 +193,7 @@ def convert_os_errors(path: Path, allowed: str) -> Iterator[None]:
     Yields
     ------
     None
-        Control to the ``with`` block, which accesses the file.
+        The ``with`` block accesses the file.
 
     Raises
     ------

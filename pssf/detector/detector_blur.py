@@ -1,8 +1,9 @@
-"""Blur in the frequency domain: by the focal spot, and by the detector for signal and quantum noise.
+"""Blur by the focal spot and by the detector, computed in the frequency domain.
 
-Photons are absorbed at random depths of the scintillator, and the light spread depends on the depth. The transfer
-function of the signal is the mean over depths, and that of the noise is the root mean square. The noise therefore keeps
-more of its high frequencies than the signal, and the DQE decreases with frequency (Lubberts 1968; Cunningham 2000).
+Photons are absorbed at random depths in the scintillator, and the light spread depends on the depth. The transfer
+function of the signal is the mean over all depths, whereas the transfer function of quantum noise is the root mean
+square. High frequencies are therefore attenuated less in the noise than in the signal, and the DQE decreases with
+frequency (Lubberts 1968; Cunningham 2000).
 """
 
 from functools import lru_cache
@@ -21,7 +22,7 @@ _MARGIN_PX = 32
 
 
 def transform_to_frequency(image: Map, workers: int = 2) -> Frequencies:
-    """Transform an image to the frequency domain, with mirrored margins so that opposite edges do not mix.
+    """Transform an image to the frequency domain, after adding mirrored margins that prevent wrap-around.
 
     Parameters
     ----------
@@ -63,9 +64,10 @@ def transform_to_image(values: Frequencies, shape: tuple[int, ...], workers: int
 
 
 def blur_image_by_focal_spot(image: Map, focal_spot_mm: float, view: View, workers: int = 2) -> Map:
-    """Blur an image by a square focal spot, with the blur width of the joint plane.
+    """Blur an image by the penumbra that a square focal spot causes for objects in the joint plane.
 
-    The blur width on the detector is a (M - 1), with the focal spot width a and the magnification M of the joint plane.
+    The blur width on the detector is a (M - 1), where a is the focal spot width and M is the magnification of the joint
+    plane.
 
     Parameters
     ----------
@@ -89,7 +91,7 @@ def blur_image_by_focal_spot(image: Map, focal_spot_mm: float, view: View, worke
 
 
 def focal_spot_width_px(focal_spot_mm: float, view: View) -> float:
-    """Compute the width of the focal-spot blur of an edge in the joint plane.
+    """Compute the focal-spot blur width for an edge in the joint plane.
 
     Parameters
     ----------
@@ -101,13 +103,13 @@ def focal_spot_width_px(focal_spot_mm: float, view: View) -> float:
     Returns
     -------
     float
-        Width in pixels.
+        Blur width on the detector, in pixels.
     """
     return focal_spot_mm * (magnification(view) - 1) / view.pixel_mm
 
 
 def apply_focal_spot_blur(values: Frequencies, shape: tuple[int, ...], width_px: float) -> None:
-    """Blur an image by a square focal spot in the frequency domain, in place.
+    """Apply the blur of a square focal spot to the Fourier coefficients of an image, in place.
 
     Parameters
     ----------
@@ -116,7 +118,7 @@ def apply_focal_spot_blur(values: Frequencies, shape: tuple[int, ...], width_px:
     shape : tuple of int
         Rows and columns of the image.
     width_px : float
-        Width of the blur, in pixels.
+        Blur width, in pixels.
     """
     fy, fx = _frequency_axes(shape)
     values *= np.sinc(width_px * fy)[:, None]
@@ -126,7 +128,7 @@ def apply_focal_spot_blur(values: Frequencies, shape: tuple[int, ...], width_px:
 def apply_panel_blur(
     values: Frequencies, shape: tuple[int, ...], pixel_mm: float, detector: Detector, curve: str = "mtf"
 ) -> None:
-    """Blur an image by the detector in the frequency domain, in place.
+    """Apply detector blur to the Fourier coefficients of an image, in place.
 
     Parameters
     ----------
@@ -144,11 +146,11 @@ def apply_panel_blur(
     values *= _panel_transfer(shape, pixel_mm, *_select_transfer_parameters(detector, curve))
 
 
-@lru_cache(maxsize=2)  # One entry per transfer function of a detector.
+@lru_cache(maxsize=2)  # The cache contains the MTF and the NTF of the current detector.
 def _panel_transfer(shape: tuple[int, ...], pixel_mm: float, f0: float, power: float) -> Map:
-    """Compute a detector transfer function (padded rows, padded cols / 2 + 1) at the frequencies of an image."""
+    """Compute the transfer function of a detector at all frequencies of a padded image."""
     fy, fx = (f / np.float32(pixel_mm * f0) for f in _frequency_axes(shape))
-    # The arithmetic is in place, because allocating a new large array takes more time than the arithmetic.
+    # The values are computed in place, because allocating a new large array takes longer than the arithmetic.
     passed = fy[:, None] ** 2 + fx**2
     np.power(passed, np.float32(power / 2), out=passed)
     passed += 1
@@ -186,7 +188,7 @@ def _select_transfer_parameters(detector: Detector, curve: str) -> tuple[float, 
 
 
 def _padded_lengths(shape: tuple[int, ...]) -> tuple[list[int], list[int]]:
-    """Choose padded lengths that allow a fast Fourier transform, and the margin width before the image on each axis."""
+    """Choose padded lengths for a fast Fourier transform, and the width of the leading margin, for each axis."""
     long = [fft.next_fast_len(n + 2 * min(_MARGIN_PX, n), real=True) for n in shape]
     return long, [(length - n) // 2 for length, n in zip(long, shape, strict=True)]
 

@@ -1,7 +1,7 @@
 """Display processing: conversion of the signal to grey levels from 0 (black) to 1 (white), with bright bone.
 
-Flat-panel processing preserves the order of grey levels of neighbouring pixels, but not of distant pixels. Film
-preserves both.
+The simulated film is a monotonic function of the signal in the entire image. Flat-panel processing preserves the order
+of grey levels only among neighbouring pixels.
 """
 
 import numpy as np
@@ -13,11 +13,12 @@ from ..data.imaging.display_table import FlatPanelProcessing, ScreenFilm
 from .laplacian_pyramid import join_pyramid, split_pyramid
 
 Image = NDArray[np.float32]
-# Subsampling step for the computation of quantiles, in rows and columns.
+# Subsampling step along rows and columns for the computation of quantiles, in pixels.
 _SUBSAMPLING = 4
-# Quantile of the signal that is taken as the open-beam signal.
+# Quantile of the signal that estimates the open-beam signal.
 _OPEN_BEAM_QUANTILE = 0.999
-# Fraction of dim pixels above which a row or column counts as behind a collimator leaf. It is below 1 because of noise.
+# Fraction of dim pixels above which a row or column is classified as collimated. The fraction is below 1 to allow for
+# noise.
 _COLLIMATED_FRACTION = 0.99
 
 
@@ -46,7 +47,7 @@ def render_log(signal: Image) -> Image:
 
 
 def render_processed(signal: Image, pixel_mm: float, processing: FlatPanelProcessing) -> Image:
-    """Render a signal with multi-scale processing, as flat-panel software does (Vuylsteke and Schoeters 1994).
+    """Render a signal with multi-scale processing, as in flat-panel software (Vuylsteke and Schoeters 1994).
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ def render_processed(signal: Image, pixel_mm: float, processing: FlatPanelProces
     pixel_mm : float
         Pixel size, in mm.
     processing : FlatPanelProcessing
-        Parameters of the processing.
+        Parameters of the multi-scale processing.
 
     Returns
     -------
@@ -101,16 +102,19 @@ def render_film(signal: Image, processing: ScreenFilm) -> Image:
 
 
 def _find_limb(signal: Image, processing: FlatPanelProcessing | ScreenFilm) -> tuple[NDArray[np.bool_], float]:
-    """Find the limb in the subsampled image, and the collimation threshold of the signal in DN."""
+    """Return the limb mask of the subsampled image, and the signal threshold for collimated pixels in DN."""
     some = signal[::_SUBSAMPLING, ::_SUBSAMPLING]
     greatest = float(np.quantile(some, _OPEN_BEAM_QUANTILE))
     limb = (some < processing.air_above_fraction * greatest) & (some > processing.collimated_below_fraction * greatest)
-    # If no pixel qualifies, as in a flat field, all pixels count as limb.
+    # If no pixel is classified as limb, for example in a flat-field image, all pixels are used.
     return (limb if limb.any() else np.ones_like(limb)), max(1.0, processing.collimated_below_fraction * greatest)
 
 
 def _find_collimated_border(dim: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Find dim rows and columns at the image edges; dim pixels inside the field belong to a thick limb."""
+    """Return a mask of the dim rows and columns at the image edges.
+
+    Dim pixels elsewhere are excluded, because they belong to a thick limb.
+    """
     behind = np.zeros_like(dim)
     for rows, dark in ((behind, dim), (behind.T, dim.T)):
         whole = dark.mean(axis=1) > _COLLIMATED_FRACTION
@@ -125,13 +129,16 @@ def _limb_quantiles(image: Image, limb: NDArray[np.bool_], fractions: tuple[floa
 
 
 def _amplify_detail(detail: Image, processing: FlatPanelProcessing) -> Image:
-    """Raise details to a power; a power below 1 amplifies small details and does not change details of size `bound`."""
+    """Raise detail amplitudes to a power.
+
+    A power below 1 amplifies small amplitudes. The amplitude `bound` is unchanged.
+    """
     size = np.maximum(np.abs(detail), np.float32(processing.core)) / np.float32(processing.bound)
     return np.asarray(detail * size ** np.float32(processing.power - 1))
 
 
 def _layer_gain(detail_size_mm: float, processing: FlatPanelProcessing) -> float:
-    """Compute the gain of a detail layer from the size of its details in mm."""
+    """Compute the gain of a detail layer from its detail size in mm."""
     fine = max(0.0, 1 - detail_size_mm / processing.edge_mm)
     coarse = 1 / (1 + (detail_size_mm / processing.latitude_mm) ** 2)
     return (1 + (processing.edge_gain - 1) * fine) * (
@@ -142,6 +149,6 @@ def _layer_gain(detail_size_mm: float, processing: FlatPanelProcessing) -> float
 def _soft_clip(values: Image, bend_width: float) -> Image:
     """Clip values to the range 0 to 1, with a smooth transition of the given width at both ends."""
     sharp = np.float32(4 / bend_width)
-    # log(1 + exp(x)) - max(x, 0) is written out, because np.logaddexp takes several times as long.
+    # The softplus function is computed explicitly, because np.logaddexp is several times slower.
     low, high = (1 + np.exp(-sharp * np.abs(values - end)) for end in (np.float32(0), np.float32(1)))
     return np.asarray(np.clip(np.clip(values, 0, 1) + np.log(low / high) / sharp, 0, 1), np.float32)

@@ -1,4 +1,4 @@
-"""Images for presentation with bright bone, and with a drawn collimator edge and side marker on request."""
+"""Images for presentation with bright bone, and optionally with a drawn collimator edge and side marker."""
 
 import math
 import reprlib
@@ -29,7 +29,7 @@ from ..xray.collimator import penumbra_mm
 from .display_processing import render_film, render_log, render_processed
 from .side_marker import draw_letter
 
-# Names of the display processings.
+# Names of the display processing methods.
 DISPLAY_PROCESSING = ("log", "processed", "film")
 # Width of the drawn collimator shadow, as a fraction of the smaller side of the image.
 _LEAF = 0.025
@@ -61,27 +61,27 @@ def render_for_display(
     ----------
     pixels : (rows, cols) array, DN, or Radiograph
         Image that is linear in the absorbed energy. For a Radiograph, the parameters `detector`, `pixel_mm`, `field_mm`
-        and `shadow_mm` are taken from its protocol.
+        and `shadow_mm` are ignored, and the values of its protocol are used.
     bits : int, default 8
         Bits per pixel of the rendered image, from 8 (uint8) to 16 (uint16).
     side : {"right", "left"}, optional
-        Side of the body. If given, a collimator edge is drawn in each direction in which the beam is not collimated.
-        The marker R or L is drawn on the lateral side, unless the radiograph has a lead marker.
+        Right or left knee. If specified, a collimator edge is drawn in each direction in which the beam is not
+        collimated. The marker R or L is drawn on the lateral side, unless the radiograph shows a lead marker.
     detector : str, default "csi"
         Detector whose offset is subtracted.
     processing : {"log", "processed", "film"}, FlatPanelProcessing or ScreenFilm, default "log"
         Display processing. ``"log"`` is the logarithm of the signal with attenuated large structures and slightly
         sharpened edges. ``"processed"`` is multi-scale contrast processing with a grey-level curve, as in flat-panel
-        software. ``"film"`` simulates a screen-film system. A FlatPanelProcessing or a ScreenFilm sets other parameters
-        for the last two.
+        software. ``"film"`` simulates a screen-film system. A FlatPanelProcessing replaces the default parameters of
+        ``"processed"``, and a ScreenFilm those of ``"film"``.
     pixel_mm : float, default 0.15
-        Pixel size, from 0.001 to 50 mm; it is used for ``"processed"`` and for the size of the field in pixels.
+        Pixel size, from 0.001 to 50 mm. It is used for ``"processed"`` and to convert the field size to pixels.
     field_mm : tuple of float, default (0, 0)
-        Width and height of the collimated field around the centre, in mm. Pixels outside the field are black. 0 means
-        that this direction is not collimated.
+        Width and height of the collimated field, centred on the image, in mm. Pixels outside the field are black. A
+        value of 0 means that the beam is not collimated in this direction.
     shadow_mm : float, default 0
-        Width of the penumbra inside the field, from 0 to 100 mm. The penumbra is black too, because it would appear as
-        a bright line.
+        Width of the penumbra inside the field, from 0 to 100 mm. The penumbra is also black; otherwise, it would appear
+        as a bright line.
 
     Returns
     -------
@@ -91,8 +91,8 @@ def render_for_display(
     Raises
     ------
     InputError
-        If `bits`, `side`, the detector, the processing, the pixel size or the field is not allowed. Also if `pixels` is
-        not a two-dimensional array of finite numbers.
+        If `bits`, `side`, `detector`, `processing`, `pixel_mm`, `field_mm` or `shadow_mm` has a value that is not
+        allowed, or if `pixels` is not a two-dimensional array of finite numbers.
 
     Examples
     --------
@@ -144,17 +144,17 @@ def _require_pixels(pixels: object) -> None:
 
 
 def format_processing(processing: FlatPanelProcessing | ScreenFilm | None) -> str:
-    """Format a display processing as text.
+    """Describe a display processing method as text.
 
     Parameters
     ----------
     processing : FlatPanelProcessing, ScreenFilm or None
-        Parameters from `resolve_processing`; None for ``"log"``.
+        Processing parameters from `resolve_processing`; None for ``"log"``.
 
     Returns
     -------
     str
-        Name of the display processing, followed by its parameters.
+        Name of the display processing method, followed by its parameters.
     """
     if processing is None:
         return "log"
@@ -168,7 +168,7 @@ def _find_field_slices(
 ) -> tuple[slice, slice]:
     """Find the rows and columns of the collimated field, without its penumbra.
 
-    If the field would consist only of penumbra, the penumbra is included.
+    If the entire field is penumbra, the penumbra is included.
     """
     slices = []
     for name, count, wide_mm in zip(("height", "width"), shape, reversed(field_mm), strict=True):
@@ -178,7 +178,7 @@ def _find_field_slices(
             for clear_mm in (wide_mm, wide_mm - 2 * shadow_mm)
         )
         if 2 * beyond >= count:
-            raise InputError(f"{name} of field_mm must be at least a pixel of {pixel_mm:g} mm, got {wide_mm:g} mm")
+            raise InputError(f"{name} of field_mm must be at least one pixel, {pixel_mm:g} mm, got {wide_mm:g} mm")
         out = shaded if 2 * shaded < count else beyond
         slices.append(slice(out, count - out))
     return slices[0], slices[1]
@@ -187,34 +187,36 @@ def _find_field_slices(
 def resolve_processing(
     processing: str | FlatPanelProcessing | ScreenFilm, presets: DisplayProcessing
 ) -> FlatPanelProcessing | ScreenFilm | None:
-    """Return the parameters of a display processing given by name.
+    """Return the parameters of a display processing method.
 
     Parameters
     ----------
     processing : {"log", "processed", "film"}, FlatPanelProcessing or ScreenFilm
-        Name, or a record of parameters, which is returned unchanged.
+        Name of the method, or its parameters, which are returned unchanged.
     presets : DisplayProcessing
-        Parameters of the named display processings.
+        Default parameters of the display processing methods.
 
     Returns
     -------
     FlatPanelProcessing, ScreenFilm or None
-        Parameters; None for ``"log"``, which has no parameters.
+        Processing parameters; None for ``"log"``, which has no parameters.
 
     Raises
     ------
     InputError
-        If `processing` is neither a known name nor a record of parameters.
+        If `processing` is neither a known name nor a FlatPanelProcessing or ScreenFilm object.
 
     Warns
     -----
     DeprecationWarning
-        If the name is ``"linear"``, the deprecated name of ``"log"``.
+        If `processing` is ``"linear"``, the deprecated name of ``"log"``.
     """
     if isinstance(processing, str):
         if processing == "linear":
             warnings.warn(
-                'processing = "linear" is now "log"; the earlier name will be removed', DeprecationWarning, stacklevel=3
+                'processing = "linear" is now "log"; the former name will be removed; use "log"',
+                DeprecationWarning,
+                stacklevel=3,
             )
             processing = "log"
         require_choice("processing", processing, DISPLAY_PROCESSING)
@@ -245,8 +247,9 @@ def _add_drawn_marker(
 ) -> NDArray[np.float32]:
     """Draw the collimator shadow and the side marker into an image (rows, cols) of grey levels from 0 to 1.
 
-    `has_leaves` states for height and width whether the beam was really collimated. `has_lead_marker` states whether
-    the radiograph shows a lead marker. The drawn marker is in the upper corner on the lateral side.
+    `has_leaves` indicates, for height and width, whether the image already shows a collimated beam. `has_lead_marker`
+    indicates whether the image already shows a lead marker. The drawn marker is in the upper corner on the lateral
+    side.
     """
     require_choice("side", side, tuple(SIDE_MARKERS))
     rows, cols = shown.shape
@@ -258,7 +261,7 @@ def _add_drawn_marker(
     field = ndimage.gaussian_filter(field, _PENUMBRA * smaller)
     if has_lead_marker:
         return shown * field
-    # In a frontal view, the lateral side of a right knee is on the left of the image.
+    # The marker is drawn on the lateral side, which is the left side of the image for a right knee in frontal view.
     inset = leaf + _APART * smaller
     place, anchor = ((inset, inset), "la") if side == "right" else ((cols - inset, inset), "ra")
     return np.maximum(shown * field, draw_letter((rows, cols), SIDE_MARKERS[side], _MARKER * smaller, place, anchor))

@@ -49,7 +49,7 @@ def join_pyramid(details: list[Image], rest: Image) -> Image:
     Returns
     -------
     (rows, cols) float32 array
-        Reconstructed image; unchanged details and residual give the original image.
+        Reconstructed image, equal to the original image if the details and the residual are unmodified.
     """
     for layer in reversed(details):
         rest = _upsample(rest, layer.shape) + layer
@@ -75,8 +75,8 @@ def _upsample(coarse: Image, shape: tuple[int, ...]) -> Image:
 
 
 def _upsample_rows(coarse: Image, rows: int) -> Image:
-    # The last row is mirrored for an odd number of rows and repeated for an even number.
     """Interpolate an image to the given number of rows with the binomial filter."""
+    # The margin after the last row is mirrored for an odd number of rows and repeated for an even number.
     wide = np.concatenate((coarse[1:2], coarse, coarse[-2:-1] if rows % 2 else coarse[-1:]))
     fine = np.empty_like(coarse, shape=(rows, coarse.shape[1]))
     fine[::2] = (wide[:-2] + wide[2:] + 6 * coarse) / 8

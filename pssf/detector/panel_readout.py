@@ -22,9 +22,9 @@ def simulate_readout(
     technique : Technique
         Resolved protocol.
     seed : numpy.random.SeedSequence or None
-        Seed of the readout noise (Gaussian, in electrons); None for no readout noise.
+        Seed of the Gaussian readout noise; None to omit readout noise.
     workers : int, default 2
-        Number of threads; it does not change the result.
+        Number of threads, which does not affect the result.
 
     Returns
     -------
@@ -33,7 +33,7 @@ def simulate_readout(
     """
     detector, protocol = technique.detector, technique.protocol
     electrons = kev * np.float32(detector.electrons_per_kev)
-    # The arithmetic is in place, because a new large array takes more time than the arithmetic.
+    # The values are computed in place, because allocating a new large array takes longer than the arithmetic.
     if seed is not None:
         noise = sample_in_bands(
             kev.shape,
@@ -53,7 +53,7 @@ def simulate_readout(
 
 
 def sample_dead_pixels(technique: Technique) -> NDArray[np.bool_]:
-    """Sample the dead pixels of the detector of a technique, which are the same in every exposure.
+    """Sample the locations of dead pixels, which are the same in every exposure with a detector.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Sample quantum noise, in bands of rows with separate random streams."""
+"""Sampling of quantum noise, in bands of image rows with separate random streams."""
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 Map = NDArray[np.float32]
 # Number of quanta per pixel above which a normal distribution replaces the Poisson distribution.
 GAUSSIAN_MIN_QUANTA = 4096
-# Number of rows per band; each band has its own random stream.
+# Number of image rows in a band; each band has a separate random stream.
 _BAND_ROWS = 256
 
 
@@ -23,13 +23,13 @@ def sample_quantum_noise(
     kev : (rows, cols) float32 array, keV
         Mean absorbed energy per pixel.
     photon_kev : (rows, cols) float32 array, keV
-        Mean squared energy divided by mean energy of an absorbed photon.
+        Mean squared energy divided by mean energy of the absorbed photons.
     swank : float
         Swank factor of the detector, from 0 to 1.
     seed : numpy.random.SeedSequence
         Seed of the noise.
     workers : int, default 2
-        Number of threads; it does not change the result, because each band of rows has its own random stream.
+        Number of threads, which does not affect the result, because each band of rows has a separate random stream.
 
     Returns
     -------
@@ -64,7 +64,7 @@ def sample_in_bands(
     sample_band: Callable[[np.random.Generator, slice], Map],
     workers: int,
 ) -> Map:
-    """Sample an image in bands of rows, each with its own random stream.
+    """Sample an image in bands of rows with separate random streams.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def sample_in_bands(
     sample_band : callable
         Function of a generator and a slice of rows that returns the sampled rows, (rows, cols) float32.
     workers : int
-        Number of threads; it does not change the result.
+        Number of threads, which does not affect the result.
 
     Returns
     -------
@@ -89,7 +89,7 @@ def sample_in_bands(
         rows = slice(job[0], min(job[0] + _BAND_ROWS, shape[0]))
         result[rows] = sample_band(np.random.default_rng(job[1]), rows)
 
-    # Child seeds have explicit keys, because SeedSequence.spawn() gives different children when it is called again.
+    # The child seeds have explicit keys, because repeated calls of SeedSequence.spawn() return different seeds.
     children = [np.random.SeedSequence(seed.entropy, spawn_key=(*seed.spawn_key, k)) for k in range(len(starts))]
     with ThreadPoolExecutor(workers) as pool:
         list(pool.map(fill, zip(starts, children, strict=True)))

@@ -1,4 +1,4 @@
-"""Side marker: a lead letter on the detector cover, or a letter drawn into an image."""
+"""Side marker: a lead letter on the detector cover, or a letter drawn in an image."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from ..xray.resolved_technique import Technique
 _HIGH_MM = 15.0
 # Distance of the lead letter from both edges at the corner of the field, in mm.
 _INSET_MM = 6.0
-# Transmission of the lead letter, 2 mm thick.
+# Fraction of the signal that the 2 mm thick lead letter transmits.
 _PASSES = 0.01
 
 
@@ -20,12 +20,12 @@ def compute_marker_transmission(technique: Technique) -> NDArray[np.float32]:
     Parameters
     ----------
     technique : Technique
-        Resolved protocol. Its `marker` is R (upper left corner of the field) or L (upper right corner).
+        Resolved protocol with the marker R (upper left corner of the field) or L (upper right corner).
 
     Returns
     -------
     (rows, cols) float32 array
-        Transmission from 0 to 1; 0.01 behind the letter.
+        Transmission: 0.01 behind the letter and 1 elsewhere, with intermediate values at the edges of the letter.
     """
     protocol, view = technique.protocol, technique.view
     half_x, half_z = (half - _INSET_MM for half in field_half_size_mm(technique))
@@ -40,7 +40,7 @@ def compute_marker_transmission(technique: Technique) -> NDArray[np.float32]:
 def draw_letter(
     shape: tuple[int, int], letter: str, height_px: float, position_px: tuple[float, float], anchor: str
 ) -> NDArray[np.float32]:
-    """Draw a letter into an empty image.
+    """Draw a letter in an empty image.
 
     Parameters
     ----------
@@ -53,14 +53,14 @@ def draw_letter(
     position_px : tuple of float
         Column and row of the anchor, in pixels.
     anchor : str
-        Anchor in the notation of Pillow: ``"la"`` for the upper left corner, ``"ra"`` for the upper right one.
+        Anchor in the notation of Pillow: ``"la"`` for the upper left corner, ``"ra"`` for the upper right corner.
 
     Returns
     -------
     (rows, cols) float32 array
         Image with 1 inside the letter and 0 elsewhere.
     """
-    from PIL import Image, ImageDraw, ImageFont  # Imported here because it is rarely needed.
+    from PIL import Image, ImageDraw, ImageFont  # Pillow is imported only if a letter is drawn.
 
     sheet = Image.new("L", (shape[1], shape[0]))
     font = ImageFont.load_default(max(height_px, 1.0))

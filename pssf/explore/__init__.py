@@ -1,15 +1,15 @@
-"""Serve an interactive page for the browser, with controls for knee and protocol, to this machine only.
+"""Interactive browser page with controls for knee and protocol, served to the local machine only.
 
 ================  ======================================================================
-page_server       addresses of the server, and `serve`, which starts it
+page_server       HTTP endpoints, and the function `serve`, which starts the server
 page_listing      list of the fields, tables and protocols that the page shows
-request_schema    parsing and checks of requests
+request_schema    parsing and validation of requests
 request_guard     access checks: token, host, origin and size of requests
-request_queue     queue of requests; the latest request of a tab supersedes older ones
+request_queue     request queue; a new request of a tab supersedes older requests
 page_worker       process that answers the requests
 stage_cache       cached knees, path lengths and images
 handlers          functions that answer the requests
-prefetch          computation of spectra before the tube-voltage slider needs them
+prefetch          advance computation of the spectra for the tube-voltage slider
 python_snippet    Python code that reproduces the image on the page
 ================  ======================================================================
 """
@@ -25,8 +25,8 @@ def require_extra() -> None:
     Raises
     ------
     InputError
-        If a library is missing; the message names it.
+        If a library is missing. The message contains the name of the library.
     """
     missing = [name for name in ("starlette", "uvicorn", "tomli_w") if find_spec(name) is None]
     if missing:
-        raise InputError(f"explore needs {', '.join(missing)}, not installed: run pip install 'pssf[explore]'")
+        raise InputError(f"pssf explore requires {', '.join(missing)}, not installed: run pip install 'pssf[explore]'")

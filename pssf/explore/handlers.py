@@ -1,4 +1,4 @@
-"""Answer each kind of request by a JSON-ready header and bytes."""
+"""Request handlers, which answer each type of request with a JSON-ready header and binary content."""
 
 from collections.abc import Callable
 from os import getpid
@@ -18,7 +18,7 @@ from ..model.protocol import protocol_to_dict
 from ..model.radiograph import Radiograph, Truth
 from ..quality.beam_quality import entrance_kerma_ugy
 from ..quality.exposure_index import exposure_index
-from ..raycast import compute_silhouette
+from ..raycast import compute_face_silhouette
 from ..simulation import simulate
 from .python_snippet import format_python_lines
 from .request_schema import MESH_KINDS, TEXT_KINDS, ResolvedRequest
@@ -26,16 +26,16 @@ from .stage_cache import ENGINE, SimulatedImage, StageCache
 
 Header = dict[str, Any]
 Answer = tuple[Header, bytes]
-# Approximate largest number of rows or columns for exposure values. Images of larger detectors are subsampled.
+# Approximate maximum number of rows or columns for the computation of exposure values. Larger images are subsampled.
 _STATISTICS_SIDE_PX = 512
-# Half edge length of the square region at the joint in which scatter is measured, in mm on the detector.
+# Half the edge length of the square region at the joint in which scatter is measured, in mm on the detector.
 _ROI_HALF_MM = 3.0
-# Largest distance by which surfaces of the 3D view may move to save triangles, in mm.
+# Maximum deviation from the original surface when surfaces are simplified for the 3D view, in mm.
 _MESH_TOLERANCE_MM = 0.1
 
 
 def handle_radiograph(cache: StageCache, request: ResolvedRequest) -> Answer:
-    """Simulate a radiograph for the page.
+    """Simulate a radiograph for the explore page.
 
     Parameters
     ----------
@@ -47,9 +47,9 @@ def handle_radiograph(cache: StageCache, request: ResolvedRequest) -> Answer:
     Returns
     -------
     header : dict
-        Image size, exposure values and computing times; at full resolution also labels.
+        Image size, exposure values and computing times, and the labels if the image has full resolution.
     content : bytes
-        Pixels with the requested display processing, row by row, uint16 little-endian.
+        Pixels with the requested display processing, as little-endian uint16 in row-major order.
     """
     began = process_time()
     made = cache.simulate_image(request.knee, request.protocol, request.seed)
@@ -75,7 +75,7 @@ def handle_radiograph(cache: StageCache, request: ResolvedRequest) -> Answer:
 
 
 def _render_pixels(pixels: NDArray[np.uint16], result: SimulatedImage, request: ResolvedRequest) -> NDArray[np.uint16]:
-    """Apply the requested display processing, with 16 bits per pixel."""
+    """Render the image with the requested display processing and 16 bits per pixel."""
     if request.processing == "linear":
         return pixels
     bare = Radiograph(pixels=pixels, protocol=result.protocol, seed=request.seed)
@@ -83,9 +83,9 @@ def _render_pixels(pixels: NDArray[np.uint16], result: SimulatedImage, request: 
 
 
 def _compute_exposure_figures(result: SimulatedImage) -> Header:
-    """Compute exposure index, entrance air kerma and scatter-to-primary ratios of the limb and at the joint.
+    """Compute exposure index, entrance air kerma, and scatter-to-primary ratios of the limb and at the joint.
 
-    Values that cannot be computed are None.
+    A value that cannot be computed is None.
     """
     image, protocol = result.image, result.protocol
     step = max(1, max(protocol.rows, protocol.cols) // _STATISTICS_SIDE_PX)
@@ -111,7 +111,7 @@ def _scatter_to_primary(scatter: Array | None, primary: Array, where: Any) -> fl
 
 
 def _joint_region(result: SimulatedImage, step: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    """Return row and column slices of a square around the projected knee centre, in the subsampled image."""
+    """Return row and column slices of a square around the knee centre in the subsampled image."""
     view = resolve_view(result.protocol)
     row, col = project_points(np.zeros((1, 3)), view)[0]
     half = max(1, round(_ROI_HALF_MM / result.protocol.pixel_mm / step))
@@ -120,7 +120,7 @@ def _joint_region(result: SimulatedImage, step: int, shape: tuple[int, ...]) -> 
 
 
 def _labels_to_dict(truth: Truth) -> Header:
-    """Convert labels to a JSON-ready dict."""
+    """Convert the labels of a radiograph to a JSON-ready dict."""
     return {
         "jsw_medial_mm": truth.jsw_medial_mm,
         "jsw_lateral_mm": truth.jsw_lateral_mm,
@@ -131,34 +131,35 @@ def _labels_to_dict(truth: Truth) -> Header:
 
 
 def handle_probe(cache: StageCache, request: ResolvedRequest) -> Answer:
-    """Return the path lengths at one pixel.
+    """Return the path lengths along the ray to one pixel.
 
     Parameters
     ----------
     cache : StageCache
         Cache of knees, path lengths and images.
     request : ResolvedRequest
-        Validated request from the page, which gives row and column.
+        Validated request from the page, with row and column of the pixel.
 
     Returns
     -------
     header : dict
-        ``path_mm``: path length in each material, in mm; None if the path lengths are not cached.
+        ``path_mm``: path length in each material, in mm. The value is None if the path lengths are not cached or the
+        pixel is outside the image.
     content : bytes
-        Always empty.
+        Empty bytes object.
     """
     row, col = request.pixel
     paths = cache.find_paths(request.knee, request.protocol)
     inside = 0 <= row < request.protocol.rows and 0 <= col < request.protocol.cols
     if paths is None or not inside:
         return {"path_mm": None}, b""
-    # Path lengths are not rounded here, because the page rounds them, and two roundings would turn 1.7449 into 1.75.
+    # Path lengths are not rounded, because the page rounds them. Rounding twice would change 1.7449 to 1.75.
     along = {name: float(values[row, col]) for name, values in paths.path_mm.items()}
     return {"path_mm": {name: mm for name, mm in along.items() if mm > 5e-4}}, b""
 
 
 def handle_masks(cache: StageCache, request: ResolvedRequest) -> Answer:
-    """Render one mask per bone, osteophyte and cyst.
+    """Compute a mask for each bone, osteophyte and cyst.
 
     Parameters
     ----------
@@ -172,17 +173,18 @@ def handle_masks(cache: StageCache, request: ResolvedRequest) -> Answer:
     header : dict
         Names of the masks and image size.
     content : bytes
-        One bit per pixel, row by row. Each mask starts at a byte boundary.
+        Masks with one bit per pixel, in row-major order. Each mask starts at a byte boundary.
     """
     built = cache.build_knee(request.knee, request.protocol)
     protocol = built.aim_beam(request.protocol)
-    seen = {name: compute_silhouette(mesh, protocol) for name, mesh in built.part_meshes().items()}
+    view = resolve_view(protocol)
+    seen = {name: compute_face_silhouette(mesh, view) for name, mesh in built.mask_meshes().items()}
     header = {"names": list(seen), "rows": protocol.rows, "cols": protocol.cols}
     return header, b"".join(np.packbits(mask.ravel()).tobytes() for mask in seen.values())
 
 
 def handle_solids(cache: StageCache, request: ResolvedRequest) -> Answer:
-    """Build the 3D page with the surfaces of the knee, the beam and the detector.
+    """Build an HTML page with a 3D view of the knee surfaces, the beam and the detector.
 
     Parameters
     ----------
@@ -194,7 +196,7 @@ def handle_solids(cache: StageCache, request: ResolvedRequest) -> Answer:
     Returns
     -------
     header : dict
-        Always empty.
+        Empty dict.
     content : bytes
         HTML page in UTF-8.
     """
@@ -204,26 +206,26 @@ def handle_solids(cache: StageCache, request: ResolvedRequest) -> Answer:
 
 
 def handle_file(cache: StageCache, request: ResolvedRequest) -> Answer:
-    """Encode a file for export; a radiograph has full resolution.
+    """Encode a file for export. Radiographs are exported at full resolution.
 
     Parameters
     ----------
     cache : StageCache
         Cache of knees, path lengths and images.
     request : ResolvedRequest
-        Validated request from the page, which gives the file format.
+        Validated request from the page, with the file format.
 
     Returns
     -------
     header : dict
-        ``name``: name of the file.
+        Dict with the file name under the key ``name``.
     content : bytes
         Content of the file.
 
     Raises
     ------
     InputError
-        If the request gives no file format.
+        If the request does not specify a file format.
     """
     knee, protocol, kind = request.knee, request.full_protocol, request.kind
     stem = f"knee_{protocol.name}_seed{request.seed}"
@@ -245,7 +247,7 @@ def handle_file(cache: StageCache, request: ResolvedRequest) -> Answer:
 
 
 def _format_toml(table: Header) -> str:
-    """Format a table as TOML without its None values."""
+    """Format a table as TOML, without entries whose value is None."""
     import tomli_w
 
     return tomli_w.dumps({name: value for name, value in table.items() if value is not None})

@@ -1,4 +1,4 @@
-"""List the fields, grade tables, protocols and presets from which the page is built."""
+"""List of the fields, grade tables, protocols and presets that the explore page shows."""
 
 from collections.abc import Mapping
 from dataclasses import fields
@@ -21,22 +21,23 @@ from ..model.knee import (
 )
 from ..model.protocol import load_protocol, protocol_to_dict
 
-# Largest integer that JavaScript represents exactly. Larger integers are sent as text.
+# Largest integer that JavaScript represents exactly. Larger integers are sent as strings.
 MAX_EXACT_INTEGER = 2**53 - 1
-# Largest number of rows or columns on the page. Cached data of a larger detector need several gigabytes.
+# Maximum number of rows or columns of an image on the explore page. Cached data of a larger image would need several
+# gigabytes.
 MAX_SIDE_PX = 4096
 _ITEMS: dict[str, type[Any]] = {"osteophyte": Osteophyte, "cyst": Cyst}
 
 
 @cache
 def build_listing() -> dict[str, Any]:
-    """Build the listing of everything that the page shows.
+    """Build the listing of all fields, tables and protocols that the explore page shows.
 
     Returns
     -------
     dict
-        JSON-ready listing: groups of fields with label, unit, range and description, grade tables, protocols,
-        kinds of display processing, presets and defaults.
+        JSON-ready listing. It contains groups of fields with label, unit, range and description, as well as grade
+        tables, protocols, display processing methods, presets and defaults.
     """
     table, laws = load_page_settings(), {kind: load_field_specs(kind) for kind in ("knee", "protocol", *_ITEMS)}
     optional = {name for name, law in laws["knee"].items() if law.optional}
@@ -77,37 +78,40 @@ def knee_to_page_dict(knee: Knee) -> dict[str, Any]:
     Returns
     -------
     dict
-        Values, keyed by field name. Seeds are text, because JavaScript would round them.
+        Values, keyed by field name. Seeds are strings, because JavaScript rounds large integers.
     """
     return {**knee_to_dict(knee), **{name: str(getattr(knee, name)) for name in ("form_seed", "texture_seed")}}
 
 
 def _make_start_knee(given: dict[str, Any], optional: set[str], source_name: str) -> dict[str, Any]:
-    """Make the dict of an initial knee; optional fields stay None, so that BMI and sex determine them."""
+    """Make the field values of an initial knee.
+
+    Optional fields without a given value are None, so that BMI and sex determine the values.
+    """
     return knee_to_page_dict(knee_from_dict(given, source_name)) | dict.fromkeys(optional - set(given))
 
 
 def _describe_group(group: FieldGroup, laws: Mapping[str, FieldSpec], table: PageSettings) -> dict[str, Any]:
-    """Describe the title and the fields of a group."""
+    """Return the title of a field group and the descriptions of its fields."""
     return {"title": group.title, "fields": [_describe_field(name, laws[name], table) for name in group.fields]}
 
 
 def _describe_fields(item_type: type[Any], laws: Mapping[str, FieldSpec], table: PageSettings) -> list[dict[str, Any]]:
-    """Describe the fields of an osteophyte or cyst, with the initial values of a new item."""
+    """Return the field descriptions of an osteophyte or a cyst, with initial values for a new item."""
     defaults = {one.name: one.default for one in fields(item_type)}
     listed = [_describe_field(name, law, table) for name, law in laws.items()]
     return [{**one, "start": _start_value(one, defaults[one["name"]])} for one in listed]
 
 
 def _start_value(field: dict[str, Any], default: Any) -> Any:
-    """Return the initial value of a field: the default, else the first choice, else a small size."""
+    """Return the initial value of a field: its default, or else its first choice, or else a small size."""
     if isinstance(default, int | float | str):
         return default
     return field["choices"][0] if field["choices"] else max(2.0, field["low"])
 
 
 def _describe_field(name: str, law: FieldSpec, table: PageSettings) -> dict[str, Any]:
-    """Describe a field by name, label, unit, range, source and type of control."""
+    """Return name, label, unit, range, source and control type of a field."""
     bounds = law.range or law.integer_range
     low, high = bounds or (None, None)
     shown = table.slider.get(name, bounds) or (None, None)

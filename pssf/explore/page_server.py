@@ -1,4 +1,4 @@
-"""Server of the page: its addresses and its start. The server accepts connections from this machine only."""
+"""Web server of the explore page, which accepts connections only from the local machine."""
 
 import asyncio
 import json
@@ -43,16 +43,16 @@ from .request_schema import (
 )
 
 HOST = "127.0.0.1"
-# Number of 3D pages that the server keeps, because a browser frame may load them later.
+# Maximum number of 3D pages that the server stores until a browser frame loads them.
 _MAX_SOLIDS_PAGES = 8
-# Larger number of rows or columns of the first image, which is simulated before the first request.
+# Size of the warm-up image along its longer side, in pixels. The image is simulated before the first request.
 _FIRST_SIDE_PX = 512
 _BINARY_KINDS = ("radiograph", "masks", "probe")
 Handler = Callable[[Request], Awaitable[Response]]
 
 
 class Endpoints:
-    """HTTP endpoints of the server.
+    """HTTP endpoints of the explore server.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ class Endpoints:
         self._pages: OrderedDict[str, str] = OrderedDict()
 
     async def serve_page(self, request: Request) -> Response:
-        """Return a file of the page.
+        """Return one of the static files of the explore page.
 
         Parameters
         ----------
@@ -84,7 +84,7 @@ class Endpoints:
         return Response(content, media_type=kind)
 
     async def serve_listing(self, request: Request) -> Response:
-        """Return the listing of fields, tables and protocols from which the page is built.
+        """Return the listing of fields, tables and protocols that the explore page shows.
 
         Parameters
         ----------
@@ -99,7 +99,7 @@ class Endpoints:
         return JSONResponse(await asyncio.to_thread(build_listing))
 
     async def sample_knee(self, request: Request) -> Response:
-        """Sample a knee by grade and seed.
+        """Sample a knee with a KL grade and a random seed.
 
         Parameters
         ----------
@@ -115,7 +115,7 @@ class Endpoints:
         return JSONResponse(await asyncio.to_thread(sample_page_knee, body))
 
     async def serve_binary(self, request: Request) -> Response:
-        """Return a radiograph, masks or the path lengths at a pixel.
+        """Return a radiograph, its masks, or the path lengths at one pixel.
 
         Parameters
         ----------
@@ -125,7 +125,7 @@ class Endpoints:
         Returns
         -------
         Response
-            Bytes: length of the JSON header as uint32, header, content.
+            Binary response: length of the JSON header as uint32, followed by the header and the content.
         """
         kind = request.path_params["kind"]
         if kind not in _BINARY_KINDS:
@@ -137,7 +137,7 @@ class Endpoints:
         return Response(packed, media_type="application/octet-stream")
 
     async def serve_file(self, request: Request) -> Response:
-        """Return a file for download.
+        """Return an exported file for download.
 
         Parameters
         ----------
@@ -154,7 +154,7 @@ class Endpoints:
         return Response(content, media_type="application/octet-stream", headers=named)
 
     async def make_solids_page(self, request: Request) -> Response:
-        """Build a 3D page and return its address.
+        """Build a page with a 3D view and return its address.
 
         Parameters
         ----------
@@ -174,7 +174,7 @@ class Endpoints:
         return JSONResponse({"page": f"solids/{name}"})
 
     async def serve_solids_page(self, request: Request) -> Response:
-        """Return a 3D page.
+        """Return a page with a 3D view.
 
         Parameters
         ----------
@@ -193,12 +193,12 @@ class Endpoints:
         return Response(page, media_type="text/html; charset=utf-8", headers=headers)
 
     async def _dispatch_request(self, kind: str, request: Request) -> tuple[dict[str, object], bytes]:
-        """Parse and check a request, and pass it to the worker."""
+        """Parse and validate a request, and send the request to the worker process."""
         state = parse_state(await read_json_body(request))
         return await self._dispatch.ask(kind, state.tab, resolve_state(state))
 
     async def warm_up(self) -> None:
-        """Simulate one image in advance, so that the template bones are loaded before the first request of the page."""
+        """Simulate an image at server start, so that the template bones are loaded before the first request."""
         protocol = load_protocol("reference")
         coarse = coarsen_protocol(protocol, _FIRST_SIDE_PX)
         first = ResolvedRequest(
@@ -209,12 +209,12 @@ class Endpoints:
 
 
 def make_application(token: str, port: int, worker: Worker) -> RequestGuard:
-    """Make the web application of the server, with access checks.
+    """Create the web application of the explore server, with access checks.
 
     Parameters
     ----------
     token : str
-        Secret token with which every address starts.
+        Secret token, which is the first part of the path in every URL.
     port : int
         Port of the server.
     worker : Worker
@@ -254,7 +254,7 @@ def make_application(token: str, port: int, worker: Worker) -> RequestGuard:
 
 
 def _catch_errors(handler: Handler) -> Handler:
-    """Wrap a handler so that it returns errors as one line of JSON with an HTTP status."""
+    """Wrap a handler so that exceptions become JSON error responses with an HTTP status."""
 
     async def answered(request: Request) -> Response:
         try:
@@ -264,9 +264,9 @@ def _catch_errors(handler: Handler) -> Handler:
         except InputError as error:
             return make_error_response(400, str(error))
         except SupersededError:
-            return make_error_response(409, "request was superseded by a newer request of the same tab")
+            return make_error_response(409, "request was superseded by a newer request from the same tab")
         except WorkersLostError as error:
-            return make_error_response(503, f"worker process was lost: {error}; repeat the request")
+            return make_error_response(503, f"worker process ended unexpectedly: {error}; repeat the request")
         except RuntimeError as error:
             return make_error_response(500, f"worker process failed: {error}; change the settings")
 
@@ -274,23 +274,23 @@ def _catch_errors(handler: Handler) -> Handler:
 
 
 async def _handle_unknown(request: Request, error: Exception) -> Response:
-    """Return an error for an unknown address or method."""
+    """Return the error response for an unknown address or HTTP method."""
     status = getattr(error, "status_code", 404)
     what = "method" if status == 405 else "address"
-    return make_error_response(status, f"{what} must be one that the page uses, got a {request.method} request")
+    return make_error_response(status, f"{what} must be one that the explore page uses, got a {request.method} request")
 
 
 def serve(port: int = 0, *, browser: bool = True, report_link: Callable[[str], None] = print) -> None:
-    """Serve the page until Ctrl-C.
+    """Serve the explore page until the user presses Ctrl-C.
 
     Parameters
     ----------
     port : int, default 0
         Port from 0 to 65535; 0 selects a free port.
     browser : bool, default True
-        True opens the link in the default browser.
+        Whether to open the link in the default browser.
     report_link : callable, optional
-        Function that receives the link; it is printed by default.
+        Function that is called with the link. By default, the link is printed.
 
     Raises
     ------
@@ -306,19 +306,19 @@ def serve(port: int = 0, *, browser: bool = True, report_link: Callable[[str], N
     report_link(link)
     sys.stdout.flush()
     if browser and not open_new_tab(link):
-        print("pssf: no browser found; open the link above", file=sys.stderr)
-    # At Ctrl-C the server ends and raises the signal again. The second signal is ignored, so that no traceback appears.
+        print("pssf: no browser was found; open the link above in a browser", file=sys.stderr)
+    # After Ctrl-C, the server ends and raises the signal again. The second signal is ignored to avoid a traceback.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     uvicorn.Server(config).run(sockets=[held])
 
 
 def _bind_socket(port: int) -> socket.socket:
-    """Bind a listening socket to a port of this machine."""
+    """Open a listening socket at a port of the local machine."""
     held = socket.socket()
     held.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         held.bind((HOST, port))
-        # The socket listens before the server starts, so that an early request of the browser waits instead of failing.
+        # The socket listens before the server starts, so that an early browser request waits instead of failing.
         held.listen()
     except OSError as error:
         held.close()

@@ -1,4 +1,4 @@
-"""Worker process with the cache of stages, which answers one request after another."""
+"""Worker process that answers the requests of the explore page sequentially and caches simulation stages."""
 
 import signal
 from collections.abc import Callable
@@ -12,16 +12,16 @@ from ..core.processes.child_processes import start_without_working_folder
 from ..core.processes.worker_processes import WorkersLostError, retain_freed_memory
 from .request_schema import ResolvedRequest
 
-# Time limit after which the process is killed if it has not ended by itself, in s.
+# Time limit for a regular shutdown, in s. A process that still runs after this time is killed.
 _SHUTDOWN_TIMEOUT_S = 2.0
 
 
 class SupersededError(Exception):
-    """Error of a request that a newer request of the same tab supersedes."""
+    """Error raised when a newer request from the same browser tab supersedes a request."""
 
 
 class Worker:
-    """Worker process, which is started at the first request and after it was killed."""
+    """Worker process, which starts with the first request, and restarts with the next request if it was killed."""
 
     def __init__(self) -> None:
         self._context = get_context("spawn")
@@ -35,31 +35,31 @@ class Worker:
 
     @property
     def pid(self) -> int | None:
-        """Process ID; None if no process is running."""
+        """ID of the worker process; None if no process is running."""
         return None if self._process is None else self._process.pid
 
     def cancel_current(self) -> None:
-        """Cancel the current request before its next stage."""
+        """Cancel the current request before its next simulation stage starts."""
         if self._stop is not None:
             with suppress(OSError):
                 self._stop.send(self._number)
 
     def ask(self, job: str, wanted: ResolvedRequest | None) -> tuple[dict[str, Any], bytes]:
-        """Send a request to the process and wait for its answer.
+        """Send a request to the worker process and wait for the answer.
 
         Parameters
         ----------
         job : str
-            Kind of request, a key of `handlers.HANDLERS`.
+            Type of request, as a key of `handlers.HANDLERS`.
         wanted : ResolvedRequest or None
             Validated request from the page.
 
         Returns
         -------
         header : dict
-            JSON-ready part of the answer.
+            JSON-ready header of the answer.
         content : bytes
-            Binary part of the answer.
+            Binary content of the answer.
 
         Raises
         ------
@@ -68,13 +68,13 @@ class Worker:
         SupersededError
             If the request was cancelled.
         WorkersLostError
-            If the process was killed or is closed.
+            If the worker process was killed or has been closed.
         RuntimeError
             If the request caused an unexpected error.
         """
         with self._starting:
             if self._closed:
-                raise WorkersLostError("the worker process is closed")
+                raise WorkersLostError("the worker process has been closed")
             if self._process is None or not self._process.is_alive():
                 self._start()
         self._number += 1
@@ -93,21 +93,21 @@ class Worker:
         return header, content
 
     def close(self) -> None:
-        """End the process, and release threads that wait for an answer."""
+        """End the worker process and release all threads that wait for an answer."""
         with self._starting:
             self._closed = True
         process = self._process
         if process is not None:
             self.cancel_current()
-            # The pipe is not closed, because another thread may wait for it.
+            # The pipe remains open, because another thread may be waiting for an answer from the pipe.
             with suppress(OSError):
                 self._pipe.send(None)
             process.join(_SHUTDOWN_TIMEOUT_S)
             self._kill_process()
 
     def _start(self) -> None:
-        """Start the process with new pipes."""
-        # Pipes are used and no locks are shared, because a killed process would never release its lock.
+        """Start the worker process with new pipes."""
+        # Pipes are used instead of shared locks, because a killed process would never release a lock.
         self._pipe, theirs = self._context.Pipe()
         heard, self._stop = self._context.Pipe(duplex=False)
         self._process = self._context.Process(target=run_worker, args=(theirs, heard), daemon=True)
@@ -118,7 +118,7 @@ class Worker:
         heard.close()
 
     def _kill_process(self) -> None:
-        """Kill the process if it still runs."""
+        """Kill the worker process if it is still running."""
         process, self._process = self._process, None
         if process is not None and process.is_alive():
             process.kill()
@@ -126,16 +126,16 @@ class Worker:
 
 
 def run_worker(pipe: Any, stop: Any) -> None:
-    """Answer requests until the pipe closes; this function runs in the worker process.
+    """Answer requests in the worker process until the pipe is closed or delivers None.
 
     Parameters
     ----------
     pipe : Connection
-        Connection that delivers numbered requests, then None, and receives the answers.
+        Two-way connection. It delivers numbered requests, followed by None at shutdown, and accepts the answers.
     stop : Connection
         Connection that delivers the numbers of cancelled requests.
     """
-    # Ctrl-C in the terminal also reaches this process. The signal is ignored, because the server ends the process.
+    # Ctrl-C in the terminal also reaches the worker process. The signal is ignored, because the server ends the worker.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     retain_freed_memory()
     from .stage_cache import StageCache
@@ -162,7 +162,7 @@ def run_worker(pipe: Any, stop: Any) -> None:
 
 
 def _handle_request(cache: Any, job: str, request: ResolvedRequest | None) -> tuple[dict[str, Any], bytes]:
-    """Run the handler of a kind of request."""
+    """Run the handler for a type of request."""
     from .handlers import HANDLERS
 
     assert request is not None
@@ -170,12 +170,12 @@ def _handle_request(cache: Any, job: str, request: ResolvedRequest | None) -> tu
 
 
 def _run_handler(handler: Callable[[], tuple[dict[str, Any], bytes]]) -> tuple[str, dict[str, Any], bytes]:
-    """Run a handler; return an outcome such as "done" or "error", a header and bytes."""
+    """Run a handler and return its outcome, such as "done" or "error", with header and binary content."""
     try:
         return "done", *handler()
     except SupersededError:
         return "superseded", {}, b""
     except InputError as error:
         return "error", {"error": str(error)}, b""
-    except Exception as error:  # After any error the process continues with the next request.
+    except Exception as error:  # The worker process must be able to answer the next request after any error.
         return "failed", {"error": f"{type(error).__name__}: {error}".splitlines()[0]}, b""

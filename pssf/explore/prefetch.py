@@ -1,4 +1,4 @@
-"""Compute X-ray spectra for the tube-voltage slider in advance, in a separate low-priority process."""
+"""Advance computation of X-ray spectra for the tube-voltage slider, in a separate low-priority process."""
 
 import os
 import signal
@@ -10,7 +10,7 @@ from ..core.processes.child_processes import start_without_working_folder
 from ..data.knees.field_definitions import load_field_specs
 from ..model.protocol import load_protocol
 
-# Nice value of the lowest process priority on Unix.
+# Nice value for the lowest process priority on Unix.
 _NICE_LEVEL = 19
 
 
@@ -20,17 +20,17 @@ def start_spectrum_prefetch(protocol_name: str = "reference") -> Any:
     Parameters
     ----------
     protocol_name : str, default "reference"
-        Name of the protocol with the anode angle and filtration of the tube.
+        Name of the protocol that defines anode angle and filtration of the tube.
 
     Returns
     -------
     Process
-        The started process, which the caller ends.
+        The started process, which the caller must end.
 
     Notes
     -----
-    The spectra are stored in the cache folder of the user. SpekPy needs some tenths of a second for a new voltage,
-    which is too long for a response to the slider.
+    The spectra are stored in the cache folder of the user. SpekPy needs several tenths of a second for a new voltage,
+    which is too slow for interactive use of the slider.
     """
     process = get_context("spawn").Process(target=compute_spectra, args=(protocol_name,), daemon=True)
     with start_without_working_folder():
@@ -39,14 +39,14 @@ def start_spectrum_prefetch(protocol_name: str = "reference") -> Any:
 
 
 def compute_spectra(protocol_name: str) -> None:
-    """Compute X-ray spectra in the started process, beginning with voltages near the protocol voltage.
+    """Compute X-ray spectra at all integer tube voltages, starting near the voltage of the protocol.
 
     Parameters
     ----------
     protocol_name : str
-        Name of the protocol with tube voltage, anode angle and filtration.
+        Name of the protocol that defines tube voltage, anode angle and filtration.
     """
-    # Ctrl-C in the terminal also reaches this process. The signal is ignored, because the server ends the process.
+    # Ctrl-C in the terminal also reaches this process. The signal is ignored, because the server kills the process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with suppress(OSError, AttributeError):
         os.nice(_NICE_LEVEL)

@@ -1,4 +1,4 @@
-"""Format Python code that reproduces the image on the page."""
+"""Generation of Python code that reproduces the image on the explore page."""
 
 from dataclasses import MISSING, fields
 from typing import Any
@@ -11,7 +11,7 @@ _PSSF_TYPES = (Knee, Protocol, Osteophyte, Cyst)
 
 
 def format_python_lines(knee: Knee, protocol: Protocol, seed: int, processing: str) -> str:
-    """Format Python code that simulates the same radiograph and renders it as the page does.
+    """Generate Python code that simulates and renders the radiograph shown on the explore page.
 
     Parameters
     ----------
@@ -22,12 +22,13 @@ def format_python_lines(knee: Knee, protocol: Protocol, seed: int, processing: s
     seed : int
         Noise seed.
     processing : str
-        Display processing of the page; ``"linear"`` for linear pixels.
+        Display processing selected on the page; ``"linear"`` for pixels without display processing.
 
     Returns
     -------
     str
-        Lines of Python that assign ``radiograph`` and, unless the processing is ``"linear"``, ``image``.
+        Python code that assigns the variable ``radiograph`` and, unless `processing` is ``"linear"``, the variable
+        ``image``.
     """
     rendering = f"image = pssf.render_for_display(radiograph, bits=16, processing={processing!r})\n"
     return (
@@ -39,7 +40,7 @@ def format_python_lines(knee: Knee, protocol: Protocol, seed: int, processing: s
 
 
 def _format_call(value: Any) -> str:
-    """Format the call that constructs a record, with the fields that differ from their defaults."""
+    """Generate the constructor call of an object, with only the fields that differ from the defaults."""
     given = [one for one in fields(value) if one.default is MISSING or getattr(value, one.name) != one.default]
     return (
         f"pssf.{type(value).__name__}"
@@ -48,7 +49,7 @@ def _format_call(value: Any) -> str:
 
 
 def _format_value(value: Any) -> str:
-    """Format a value as Python code."""
+    """Convert a value to Python source code."""
     if isinstance(value, _PSSF_TYPES):
         return _format_call(value)
     if isinstance(value, tuple):

@@ -1,4 +1,4 @@
-"""Check access to the server: token, host, origin, and size of requests."""
+"""Access checks of the explore server: token, host, origin and size of requests."""
 
 import base64
 import hashlib
@@ -12,10 +12,10 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-# Largest size of a request body, in bytes.
+# Maximum size of a request body, in bytes.
 MAX_BODY_BYTES = 65_536
 _ALLOWED_HOSTS = ("127.0.0.1", "localhost")
-# Policy with which the browser loads only files of the page, and no other site can embed the page.
+# Content security policy: the browser loads only files of the page, and no other site can embed the page.
 CONTENT_SECURITY_POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; frame-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
@@ -31,14 +31,14 @@ SECURITY_HEADERS = {
 
 
 class RefusedError(Exception):
-    """Error of a request that the server rejects.
+    """Error raised when the server rejects a request.
 
     Parameters
     ----------
     status : int
-        HTTP status.
+        HTTP status code.
     why : str
-        Reason that is shown to the user.
+        Reason for the rejection, which is shown to the user.
     """
 
     def __init__(self, status: int, why: str) -> None:
@@ -47,25 +47,25 @@ class RefusedError(Exception):
 
 
 def make_error_response(status: int, reason: str) -> JSONResponse:
-    """Make an error response with one line of JSON.
+    """Create a JSON error response.
 
     Parameters
     ----------
     status : int
-        HTTP status.
+        HTTP status code.
     reason : str
-        Message for the user.
+        Error message for the user.
 
     Returns
     -------
     JSONResponse
-        Response whose JSON has the key ``error``.
+        Response with the message under the JSON key ``error``.
     """
     return JSONResponse({"error": reason}, status)
 
 
 def build_page_policy(page: str) -> str:
-    """Build the Content-Security-Policy of a page with inline scripts and styles.
+    """Build the Content-Security-Policy header for a page with inline scripts and styles.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def build_page_policy(page: str) -> str:
     Returns
     -------
     str
-        Policy that allows only the scripts and styles of this page, identified by their hashes.
+        Policy that allows only the inline scripts and styles of the page, identified by their hashes.
     """
     blocks = {
         kind: re.findall(rf"<{kind}>(.*?)</{kind}>", page, re.DOTALL | re.IGNORECASE) for kind in ("script", "style")
@@ -88,7 +88,7 @@ def build_page_policy(page: str) -> str:
 
 
 def _hash_source(text: str) -> str:
-    """Return the hash by which a policy identifies an inline script or style."""
+    """Return the hash with which a content security policy identifies an inline script or style."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 
@@ -101,7 +101,7 @@ class RequestGuard:
     app : ASGIApp
         Application that receives the accepted requests.
     token : str
-        Secret token with which every address starts.
+        Secret token, which is the first part of the path in every URL.
     port : int
         Port of the server.
     """
@@ -121,26 +121,26 @@ class RequestGuard:
         await self.app(scope, receive, _add_security_headers(send))
 
     def _find_fault(self, scope: Scope) -> str | None:
-        """Return the reason for rejecting a request, or None."""
+        """Return the reason for rejecting a request, or None if the request is accepted."""
         headers = _read_headers(scope)
         if headers is None:
-            return "Host, Origin and Sec-Fetch-Site must be given once, got a repeated header"
+            return "Host, Origin and Sec-Fetch-Site must each occur at most once, got a repeated header"
         names = [f"{host}:{self.port}" for host in _ALLOWED_HOSTS]
         if headers.get("host") not in names:
             return f"host must be {' or '.join(names)}, got {headers.get('host', '')[:80]!r}"
         origin = headers.get("origin")
         if origin is not None and origin != f"http://{headers['host']}":
-            return f"origin must be the page itself, got {origin[:80]!r}"
+            return f"origin must be the address of the explore page, got {origin[:80]!r}"
         if scope["method"] != "GET" and headers.get("sec-fetch-site", "same-origin") != "same-origin":
             return f"sec-fetch-site must be same-origin, got {headers['sec-fetch-site'][:80]!r}"
         given = scope["path"].split("/")[1]
         if not secrets.compare_digest(given.encode("utf-8", "replace"), self.token.encode()):
-            return "token must be that of the running server, got another token: use the link that pssf explore prints"
+            return "token must be the token of the running server, got another token: use the link from pssf explore"
         return None
 
 
 def _read_headers(scope: Scope) -> Mapping[str, str] | None:
-    """Return the headers, keyed by name, or None if a checked header occurs twice."""
+    """Return the request headers, keyed by name, or None if a header used for access checks is repeated."""
     headers: dict[str, str] = {}
     for name, value in scope["headers"]:
         key = name.decode("latin-1").lower()
@@ -151,7 +151,7 @@ def _read_headers(scope: Scope) -> Mapping[str, str] | None:
 
 
 def _add_security_headers(send: Send) -> Send:
-    """Wrap a send function so that responses get the security headers."""
+    """Wrap a send function so that every response contains the security headers."""
 
     async def sent(message: Message) -> None:
         if message["type"] == "http.response.start":
@@ -166,7 +166,7 @@ def _add_security_headers(send: Send) -> Send:
 
 
 async def read_json_body(request: Request) -> bytes:
-    """Read the body of a JSON request.
+    """Read the body of an HTTP request with JSON content.
 
     Parameters
     ----------
@@ -192,8 +192,9 @@ async def read_json_body(request: Request) -> bytes:
         async for part in request.stream():
             size += len(part)
             if size > MAX_BODY_BYTES:
-                raise RefusedError(413, f"request must be at most {MAX_BODY_BYTES} bytes, got over {MAX_BODY_BYTES}")
+                raise RefusedError(413, f"request must be at most {MAX_BODY_BYTES} bytes, got a longer one")
             parts.append(part)
     except ClientDisconnect:
-        raise RefusedError(400, "request must be complete, got an incomplete body") from None
+        message = "request must have a complete body, got an incomplete body: repeat the request"
+        raise RefusedError(400, message) from None
     return b"".join(parts)

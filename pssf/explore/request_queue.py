@@ -1,4 +1,4 @@
-"""Queue of requests from many tabs to one worker; a newer request of a tab supersedes older ones."""
+"""Queue of requests from all browser tabs to one worker; a new request supersedes older requests of the tab."""
 
 import asyncio
 from dataclasses import dataclass
@@ -9,20 +9,20 @@ from ..core.processes.worker_processes import WorkersLostError
 from .page_worker import SupersededError, Worker
 from .request_schema import ResolvedRequest
 
-# Kinds of requests in the order in which they are answered; fast kinds come first.
+# Request types in order of priority; types that are answered quickly are first.
 PRIORITY = ("probe", "radiograph", "masks", "file", "solids")
-# Kinds of requests that a new radiograph request of the same tab supersedes.
+# Request types that a new radiograph request from the same tab supersedes.
 _SUPERSEDED_BY_RADIOGRAPH = ("masks", "solids")
-# Largest number of waiting requests.
+# Maximum number of waiting requests.
 _MAX_WAITING = 64
-# Largest number of workers that try to answer a request if workers are killed.
+# Maximum number of attempts to answer a request if the worker process is killed.
 _MAX_TRIES = 2
 Answer = tuple[dict[str, Any], bytes]
 
 
 @dataclass(eq=False)
 class _Job:
-    """Request with a future for its answer."""
+    """Request, with the future that receives the answer."""
 
     tab: str
     kind: str
@@ -30,13 +30,13 @@ class _Job:
     answer: "asyncio.Future[Answer]"
 
     def is_superseded_by(self, newer: "_Job") -> bool:
-        """Return whether a newer job supersedes the present job; a file request is never superseded."""
+        """Report whether a newer request supersedes the present request; file requests are never superseded."""
         kinds = (newer.kind, *(_SUPERSEDED_BY_RADIOGRAPH if newer.kind == "radiograph" else ()))
         return self.tab == newer.tab and self.kind in kinds and self.kind != "file"
 
 
 class Dispatcher:
-    """Queue of waiting requests, and the running request.
+    """Queue of waiting requests, with the request that is being answered.
 
     Parameters
     ----------
@@ -51,12 +51,12 @@ class Dispatcher:
         self._task: asyncio.Task[None] | None = None
 
     async def ask(self, kind: str, tab: str, wanted: ResolvedRequest) -> Answer:
-        """Queue a request and wait for its answer.
+        """Add a request to the queue and wait for the answer.
 
         Parameters
         ----------
         kind : str
-            Kind of request, one of `PRIORITY`.
+            Type of request, one of `PRIORITY`.
         tab : str
             Name of the browser tab.
         wanted : ResolvedRequest
@@ -65,18 +65,18 @@ class Dispatcher:
         Returns
         -------
         header : dict
-            JSON-ready part of the answer.
+            JSON-ready header of the answer.
         content : bytes
-            Binary part of the answer.
+            Binary content of the answer.
 
         Raises
         ------
         InputError
             If the request contains an invalid value, or too many requests are waiting.
         SupersededError
-            If a newer request of the tab supersedes the request.
+            If a newer request from the same tab supersedes the request.
         WorkersLostError
-            If the worker process was killed or is closed.
+            If the worker process was killed or has been closed.
         RuntimeError
             If the worker cannot answer the request because of an unexpected error.
         """
@@ -87,14 +87,14 @@ class Dispatcher:
         if self._running is not None and self._running.is_superseded_by(job):
             self.worker.cancel_current()
         if len(self._waiting) >= _MAX_WAITING:
-            raise InputError(f"waiting requests must be fewer than {_MAX_WAITING}, got {len(self._waiting)}")
+            raise InputError(f"number of waiting requests must be less than {_MAX_WAITING}, got {len(self._waiting)}")
         self._waiting.append(job)
         if self._task is None or self._task.done():
             self._task = asyncio.create_task(self._run_jobs())
         return await job.answer
 
     async def _run_jobs(self) -> None:
-        """Answer waiting jobs by priority until none is left."""
+        """Answer all waiting requests in order of priority."""
         while self._waiting:
             job = min(self._waiting, key=lambda job: PRIORITY.index(job.kind))
             self._waiting.remove(job)
@@ -109,7 +109,7 @@ class Dispatcher:
                 self._running = None
 
     async def _ask_with_retries(self, job: _Job) -> Answer:
-        """Send a job to the worker; repeat the job with a new worker if the worker was killed."""
+        """Send a request to the worker; repeat the request with a new worker if the worker was killed."""
         for left in reversed(range(_MAX_TRIES)):
             try:
                 return await asyncio.to_thread(self.worker.ask, job.kind, job.resolved_request)
@@ -122,6 +122,6 @@ class Dispatcher:
 
 
 def _fail(job: _Job, error: Exception) -> None:
-    """Set the error of a job unless it already has an answer."""
+    """Set the error of a request unless the request already has an answer."""
     if not job.answer.done():
         job.answer.set_exception(error)

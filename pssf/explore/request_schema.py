@@ -1,4 +1,4 @@
-"""Parse the JSON requests of the page, check every value, and convert requests to records for the worker."""
+"""Parsing and validation of the JSON requests that the explore page sends."""
 
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
@@ -26,29 +26,29 @@ RADIOGRAPH_KINDS = ("tif", "dcm", "presentation.dcm", "png", "json")
 TEXT_KINDS = ("knee.toml", "protocol.toml", "py")
 FILE_KINDS = (*RADIOGRAPH_KINDS, *MESH_KINDS, *TEXT_KINDS)
 RecordType = TypeVar("RecordType", bound=Record)
-# Allowed range of the larger number of rows or columns of a preview.
+# Allowed range of the longer side of a preview image, in pixels.
 _SIDE_RANGE_PX = (32, MAX_SIDE_PX)
 
 
 class PageState(Record, frozen=True):
-    """State of the page as received in a request.
+    """State of the explore page, as received in a request.
 
     Attributes
     ----------
     tab : str
-        Name of the browser tab. A newer request supersedes older requests of the same tab.
+        Name of the browser tab. A new request supersedes older requests from the same tab.
     knee : dict
         Values of knee fields, keyed by field name.
     protocol : dict
         Values of protocol fields, keyed by field name.
     seed : int or str
-        Noise seed. Integers that a browser would round are text.
+        Noise seed. Large integers are strings, because JavaScript would round them.
     processing : str
-        Display processing of the pixels: ``"linear"`` for linear pixels, or the name of a display processing.
+        Name of a display processing method, or ``"linear"`` for pixels without display processing.
     side : int
-        Largest number of rows or columns of a preview with the same field of view; 0 means full resolution.
+        Longer side of a preview with the same field of view, in pixels; 0 for full resolution.
     kind : str
-        File format for export.
+        File format for export; empty if no file is requested.
     row : int
         Row of the pixel whose path lengths are requested.
     col : int
@@ -67,16 +67,16 @@ class PageState(Record, frozen=True):
 
 
 class SampleKneeRequest(Record, frozen=True):
-    """Request for a sampled knee, with the arguments of `sample_knee`.
+    """Request to sample a knee, with the arguments of `sample_knee`.
 
     Attributes
     ----------
     grade : int
         KL grade.
     grade_table : str
-        Name of a grade table of the package.
+        Name of a grade table in the package.
     seed : int
-        Seed of the knee.
+        Seed for sampling the knee.
     """
 
     grade: int
@@ -86,7 +86,7 @@ class SampleKneeRequest(Record, frozen=True):
 
 @dataclass(frozen=True, kw_only=True)
 class ResolvedRequest:
-    """Validated request that the worker receives.
+    """Validated request for the worker process.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class ResolvedRequest:
     seed : int
         Noise seed.
     processing : str
-        Display processing of the pixels.
+        Name of a display processing method, or ``"linear"`` for pixels without display processing.
     kind : str
         File format for export; empty if no file is requested.
     pixel : tuple of int
@@ -126,12 +126,12 @@ def parse_state(body: bytes) -> PageState:
     Returns
     -------
     PageState
-        State of the page. Knee and protocol are not validated yet.
+        State of the page, in which knee and protocol are not yet validated.
 
     Raises
     ------
     InputError
-        If the body is not a valid state.
+        If the body is not a valid state of the page.
     """
     state = _decode(body, PageState)
     if not 1 <= len(state.tab) <= 64:
@@ -155,7 +155,7 @@ def resolve_state(state: PageState) -> ResolvedRequest:
     Raises
     ------
     InputError
-        If a value is invalid. The message names the field, its value and what is allowed.
+        If a value is invalid. The message contains the field name, the invalid value and the allowed values.
     """
     require_choice("processing", state.processing, tuple(load_page_settings().processing))
     require_choice("kind", state.kind, ("", *FILE_KINDS))
@@ -184,7 +184,10 @@ def resolve_state(state: PageState) -> ResolvedRequest:
 
 
 def _resolve_page_knee(fields: dict[str, Any], cuts: OarsiThresholds) -> Knee:
-    """Build the knee of the page; a grade that contradicts the anatomy is replaced by the grade of the anatomy."""
+    """Build the knee on the page.
+
+    A KL grade that contradicts the anatomy is replaced by the grade derived from the anatomy.
+    """
     anatomy = knee_from_dict({**fields, "grade": None, "grade_table": None})
     low, high = allowed_grades(anatomy, cuts)
     grade = fields.get("grade")
@@ -194,24 +197,24 @@ def _resolve_page_knee(fields: dict[str, Any], cuts: OarsiThresholds) -> Knee:
 
 
 def coarsen_protocol(protocol: Protocol, max_side_px: int) -> Protocol:
-    """Reduce the resolution of a protocol to a preview of the same field of view.
+    """Reduce the resolution of a protocol for a preview with the same field of view.
 
     Parameters
     ----------
     protocol : Protocol
         Protocol with full resolution.
     max_side_px : int
-        Largest number of rows or columns; 0 keeps full resolution.
+        Maximum number of rows or columns; 0 for full resolution.
 
     Returns
     -------
     Protocol
-        Preview protocol, or the same protocol if it is small enough.
+        Protocol of the preview, or the unmodified protocol if it does not exceed the maximum size.
 
     Notes
     -----
     A preview uses the scatter kernel instead of a Monte Carlo scatter simulation, and blur instead of a sampled focal
-    spot. The replaced methods take long and change the appearance little.
+    spot. The replaced methods are slow and have little effect on the appearance.
     """
     step = max(protocol.rows, protocol.cols) / max_side_px if max_side_px else 0.0
     if step <= 1:
@@ -223,7 +226,7 @@ def coarsen_protocol(protocol: Protocol, max_side_px: int) -> Protocol:
 
 
 def sample_page_knee(body: bytes) -> dict[str, Any]:
-    """Sample a knee by grade and seed, with field values for the page.
+    """Sample a knee with a KL grade and a seed, and return its field values for the page.
 
     Parameters
     ----------
@@ -238,19 +241,19 @@ def sample_page_knee(body: bytes) -> dict[str, Any]:
     Raises
     ------
     InputError
-        If the body is invalid, or grade or grade table is unknown.
+        If the body is invalid, or if the KL grade or the grade table is unknown.
     """
     from ..data.knees.grade_tables import list_grade_tables
 
     asked = _decode(body, SampleKneeRequest)
-    # Only tables of the package are allowed, because a path would let the page read files from the disk.
+    # Only grade tables in the package are allowed, because a path would give the page access to files on the disk.
     require_choice("grade_table", asked.grade_table, list_grade_tables())
     require_seed(asked.seed)
     return knee_to_page_dict(sample_knee(grade=asked.grade, rng=asked.seed, grade_table=asked.grade_table))
 
 
 def _decode(body: bytes, kind: type[RecordType]) -> RecordType:
-    """Decode a JSON request to a record."""
+    """Decode the JSON body of a request to a record type."""
     try:
         with MSGSPEC_LOCK:
             return msgspec.json.decode(body, type=kind)
@@ -260,9 +263,9 @@ def _decode(body: bytes, kind: type[RecordType]) -> RecordType:
 
 
 def _parse_whole_number(value: Any) -> Any:
-    """Convert a text of digits to an integer; return any other value unchanged.
+    """Convert a string of digits to an integer and return any other value unchanged.
 
-    The page sends large integers as text.
+    The page sends large integers as strings.
     """
     digits = isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 19
     return int(value) if digits else value

@@ -1,7 +1,7 @@
-"""Cache of knees, path lengths and images; a stage runs again only if its inputs have changed.
+"""Cache of knees, path lengths and images, so that only stages with changed inputs run again.
 
-Knees are cached by parameters and posture, and path lengths by knee and view. For each view, the image after every
-stage is cached. A request continues from the last cached image that the changed fields do not affect.
+Knees are cached by parameters and posture, and path lengths are cached by knee and view. For each view, the image after
+each stage is cached. A request starts from the last cached image that the changed fields do not affect.
 """
 
 import copy
@@ -26,13 +26,13 @@ from ..stages import (
 )
 from ..xray.resolved_technique import Technique, resolve_technique
 
-# Ray-casting engine. The Python code on the page specifies the same engine, so it reproduces the same bytes.
+# Ray-casting engine. The Python code on the explore page specifies the same engine to reproduce identical pixels.
 ENGINE = "scanline"
-# Largest number of cached knees.
+# Maximum number of cached knees.
 _KNEES = 6
-# Largest total number of pixels of cached views. The newest view is always kept.
+# Maximum total number of pixels in all cached views. The newest view is always retained.
 _MOST_PIXELS = 10_000_000
-# Name of the first stage that reads each protocol field. Fields that are not listed affect all stages.
+# First stage that depends on each protocol field. A protocol field that is not listed affects all stages.
 _FIRST_STAGE_BY_FIELD = {
     "name": "readout",
     "scatter": "scatter",
@@ -44,7 +44,7 @@ _FIRST_STAGE_BY_FIELD = {
     "detector_blur": "detector blur",
     "dead_pixels": "readout",
 }
-# Stages whose images are not cached, because the stages take little time and each copy needs memory.
+# Stages whose images are not cached, because the stages are fast and a cached image requires memory.
 _UNCACHED_STAGES = ("detector blur", "readout")
 
 
@@ -57,13 +57,13 @@ class CachedPaths:
     paths : Paths
         Path lengths of all pixels.
     truth : Truth or None
-        Labels of the view; None until labels are requested.
+        Labels for the view; None until labels are requested.
     protocol : Protocol or None
-        Protocol of the images; None before the first request.
+        Protocol with which the images were simulated; None before the first request.
     seed : int
-        Noise seed of the images.
+        Noise seed with which the images were simulated.
     images : list of LatentImage
-        Image after each stage.
+        Image after each completed stage.
     """
 
     paths: Paths
@@ -75,22 +75,22 @@ class CachedPaths:
 
 @dataclass(kw_only=True)
 class SimulatedImage:
-    """Result of a radiograph request.
+    """Result of a request for a radiograph.
 
     Attributes
     ----------
     built : BuiltKnee
         Built knee with its surfaces.
     cached_paths : CachedPaths
-        Path lengths of the view.
+        Cached path lengths for the view.
     technique : Technique
-        Technique of the protocol, with the beam aligned with the knee.
+        Resolved protocol, with the beam aligned with the knee.
     image : LatentImage
         Image after the last stage.
     rays_traced : int
         Number of rays cast for the request; 0 if the path lengths were cached.
     seconds : dict of str to float
-        Time of each stage, in s, keyed by stage name.
+        Computing time of each stage, in s, keyed by stage name.
     """
 
     built: BuiltKnee
@@ -102,12 +102,12 @@ class SimulatedImage:
 
     @property
     def protocol(self) -> Protocol:
-        """Protocol of the image, with the beam aligned with the knee."""
+        """Protocol of the radiograph, with the beam aligned with the knee."""
         return self.technique.protocol
 
     @property
     def truth(self) -> Truth:
-        """Labels of the view, which do not depend on the exposure."""
+        """Labels for the view, which do not depend on the exposure."""
         if self.cached_paths.truth is None:
             self.cached_paths.truth = self.built.truth(self.protocol)
         return self.cached_paths.truth
@@ -119,7 +119,7 @@ class StageCache:
     Parameters
     ----------
     step : callable, optional
-        Function that is called before each stage, and raises an error to cancel the request.
+        Function that is called before each stage. The function raises an exception to cancel the request.
     workers : int, default 2
         Number of threads.
     """
@@ -137,7 +137,7 @@ class StageCache:
         knee : Knee
             Parameters of the knee.
         protocol : Protocol
-            Protocol that sets the posture.
+            Protocol that defines the posture.
 
         Returns
         -------
@@ -159,7 +159,7 @@ class StageCache:
         return self._knees[key]
 
     def find_paths(self, knee: Knee, protocol: Protocol) -> Paths | None:
-        """Return the cached path lengths of a knee under a protocol.
+        """Return the cached path lengths for a knee and a protocol.
 
         Parameters
         ----------
@@ -171,14 +171,14 @@ class StageCache:
         Returns
         -------
         Paths or None
-            Path lengths; None if they are not cached.
+            Path lengths; None if the cache does not contain the path lengths.
         """
         built = self._knees.get((knee, protocol.posture))
         traced = None if built is None else self._traced.get(_view_key(built, built.aim_beam(protocol)))
         return None if traced is None else traced.paths
 
     def simulate_image(self, knee: Knee, protocol: Protocol, seed: int) -> SimulatedImage:
-        """Simulate a radiograph of a knee, and reuse cached stages.
+        """Simulate a radiograph of a knee, starting from cached stages if possible.
 
         Parameters
         ----------
@@ -197,7 +197,7 @@ class StageCache:
         Raises
         ------
         InputError
-            If `pssf.simulate` raises an InputError. Errors of `step` are passed on.
+            Under the same conditions as in `pssf.simulate`. Exceptions from `step` are not caught.
         """
         clock = Timer()
         built = self.build_knee(knee, protocol)
@@ -211,7 +211,7 @@ class StageCache:
         )
 
     def _trace_paths(self, built: BuiltKnee, protocol: Protocol) -> tuple[CachedPaths, int]:
-        """Return the path lengths of a knee, and the number of rays cast; 0 if the path lengths are cached."""
+        """Return the path lengths of a knee and the number of rays cast, which is 0 for cached path lengths."""
         key, rays = _view_key(built, protocol), 0
         if key not in self._traced:
             self._step()
@@ -226,7 +226,7 @@ class StageCache:
     def _run_stages(
         self, built: BuiltKnee, traced: CachedPaths, technique: Technique, seed: int, clock: Timer
     ) -> LatentImage:
-        """Run the stages whose inputs have changed, and cache their images."""
+        """Run all stages whose inputs have changed, and cache the resulting images."""
         chain = StageContext(technique=technique, engine=ENGINE, seed=seed, workers=self._workers)
         protocol, stages = technique.protocol, select_stages(technique.protocol)
         done = _count_valid_stages(traced, protocol, seed, stages)
@@ -250,7 +250,7 @@ def _view_key(built: BuiltKnee, protocol: Protocol) -> Hashable:
 
 
 def _count_pixels(traced: CachedPaths) -> int:
-    """Count the pixels of a view."""
+    """Return the number of pixels in a cached view."""
     return traced.paths.view.rows * traced.paths.view.cols
 
 
@@ -272,9 +272,9 @@ def _count_valid_stages(traced: CachedPaths, protocol: Protocol, seed: int, stag
 
 
 def _first_stage_index(name: str, stages: list[Stage]) -> int:
-    """Return the index of a stage, or of the first later stage in `stages`; 0 if `stages` has none of them.
+    """Return the index of a stage in `stages`, or of the first later stage if the stage is not in `stages`.
 
-    An index of 0 runs all stages again.
+    If `stages` contains no later stage, the index is 0, so that all stages run again.
     """
     names = [stage.name for stage in stages]
     order = [stage.name for stage in STAGES]
@@ -283,7 +283,7 @@ def _first_stage_index(name: str, stages: list[Stage]) -> int:
 
 
 def _copy_image(image: LatentImage) -> LatentImage:
-    """Copy an image, including the maps `frequencies` and `noisy`, which later stages change in place."""
+    """Copy an image, including the arrays `frequencies` and `noisy`, which later stages modify in place."""
     kept: Any = copy.copy(image)
     kept.kept = dict(image.kept)
     for name in ("frequencies", "noisy"):

@@ -1,4 +1,4 @@
-"""Relative densities that vary within a material; ray casting integrates them to a density-weighted path length."""
+"""Relative densities that vary within a material, and their integrals along rays."""
 
 import math
 import reprlib
@@ -40,12 +40,12 @@ class Density(Protocol):
 
 
 def integrate_along_segments(density: Density, starts_mm: Array, ends_mm: Array) -> Array:
-    """Integrate a density along straight segments and check the result.
+    """Integrate a density along straight segments and check that the result is valid.
 
     Parameters
     ----------
     density : Density
-        Relative density.
+        Relative density to integrate.
     starts_mm : (n, 3) float64 array
         Start points in the knee frame, in mm.
     ends_mm : (n, 3) float64 array
@@ -62,11 +62,11 @@ def integrate_along_segments(density: Density, starts_mm: Array, ends_mm: Array)
         If the density does not return one finite number per segment.
     """
     integrals = density.integrate(starts_mm, ends_mm)
-    allowed = f"must return ({len(starts_mm)},) finite numbers in mm, one per segment"
+    allowed = f"must return ({len(starts_mm)},) finite numbers in mm, one for each segment"
     what = f"{type(density).__name__}.integrate"
     try:
         values = np.asarray(integrals)
-    except ValueError:  # Nested lists of unequal lengths are not an array.
+    except ValueError:  # NumPy cannot convert nested lists of unequal lengths to an array.
         values = np.empty(0, object)
     if values.dtype.kind not in "fiu" or values.shape != (len(starts_mm),):
         kind = f"{values.dtype} of shape {values.shape}" if values.ndim else reprlib.repr(integrals)
@@ -89,12 +89,12 @@ def _format_point(point_mm: Array) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class TranslatedDensity:
-    """Density that is translated together with its solid.
+    """Relative density that is translated together with the solid to which it belongs.
 
     Parameters
     ----------
     density : Density
-        Density at its original location.
+        Density before the translation.
     offset_mm : tuple of float
         Translation (x, y, z), in mm.
     """
@@ -103,7 +103,7 @@ class TranslatedDensity:
     offset_mm: tuple[float, float, float]
 
     def integrate(self, starts_mm: Array, ends_mm: Array) -> Array:
-        """Integrate the density along straight segments.
+        """Integrate the translated density along straight segments.
 
         Parameters
         ----------
@@ -123,7 +123,7 @@ class TranslatedDensity:
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneWaves:
-    """Relative density as a sum of plane waves, whose line integrals have a closed form.
+    """Relative density as a sum of plane waves, which can be integrated along a line analytically.
 
     The density at a position p is ``mean + sum over k of amplitudes[k] * cos(waves_per_mm[k] . p + phases[k])``.
 
@@ -134,14 +134,14 @@ class PlaneWaves:
     amplitudes : tuple of float, optional
         Amplitude of each wave, dimensionless.
     waves_per_mm : tuple of tuple of float, optional
-        Wave vector of each wave, with three components in radians per mm.
+        Wave vector (x, y, z) of each wave, in radians per mm.
     phases : tuple of float, optional
         Phase of each wave, in radians.
 
     Raises
     ------
     InputError
-        If the lengths of amplitudes, waves and phases differ, or if a number is not finite.
+        If the numbers of amplitudes, wave vectors and phases differ, or if a value is not finite.
     """
 
     mean: float = 1.0
@@ -188,15 +188,15 @@ class PlaneWaves:
 def _sum_waves(
     starts: Array, ends: Array, mean: float, amplitudes: Array, waves: Array, phases: NDArray[np.float64], out: Array
 ) -> None:
-    """Write the integral of all waves along each segment, in mm, to `out` (n,)."""
+    """Write the density integral along each segment, in mm, to `out` (n,)."""
     for k in range(len(starts)):
         x, y, z = ends[k, 0] - starts[k, 0], ends[k, 1] - starts[k, 1], ends[k, 2] - starts[k, 2]
         total = mean
         for n in range(len(amplitudes)):
             u, v, w = waves[n]
-            # The mean of a cosine along a segment is the cosine at its centre times sinc of half the phase change. The
-            # alternative, a difference of sines divided by the phase change, loses precision for waves perpendicular to
-            # the ray.
+            # The mean of a cosine along a segment is the cosine at the segment centre, multiplied by the sinc function
+            # of half the phase change. A difference of sines divided by the phase change would lose precision for
+            # waves perpendicular to the ray.
             half = (u * x + v * y + w * z) / 2
             middle = u * starts[k, 0] + v * starts[k, 1] + w * starts[k, 2] + half + phases[n]
             sinc = math.sin(half) / half if abs(half) > 1e-4 else 1.0 - half * half / 6

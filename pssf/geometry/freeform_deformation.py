@@ -17,8 +17,8 @@ from ..core.checks import (
 )
 from ..core.numba_kernel import kernel
 
-# Number of control points added on each side of the lattice. A cubic B-spline extends two pitches from its control
-# point.
+# Number of control points added on each side of the lattice. A cubic B-spline extends two lattice pitches from its
+# control point.
 _PAD_POINTS = 3
 # Number of samples of the Jacobian along each axis of a cell, including both ends.
 _SAMPLES_PER_CELL_EDGE = 4
@@ -39,7 +39,7 @@ class Lattice:
     shaft_sign : int, default 0
         +1 continues the displacements of the last layer above the lattice, for example along a shaft. -1 continues the
         displacements of the first layer below the lattice. 0 continues neither. On all other sides the displacement
-        falls to zero within two pitches.
+        falls to zero within two lattice pitches.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def displace_points(points_mm: Array, lattice: Lattice) -> Array:
 
 
 def invert_displacement(points_mm: Array, lattice: Lattice, iterations: int = 30) -> Array:
-    """Find the points that a lattice displaces to given points, by fixed-point iteration.
+    """Invert the deformation that a lattice defines: compute original points from displaced points.
 
     Parameters
     ----------
@@ -112,7 +112,8 @@ def invert_displacement(points_mm: Array, lattice: Lattice, iterations: int = 30
 
     Notes
     -----
-    The iteration converges if the displacements of any two points differ by less than their distance.
+    The points are found by fixed-point iteration. The iteration converges if, for any two points, the difference in
+    displacement is less than the distance between the points.
     """
     places = np.array(points_mm, np.float64)
     for _ in range(iterations):
@@ -121,12 +122,12 @@ def invert_displacement(points_mm: Array, lattice: Lattice, iterations: int = 30
 
 
 def replace_displacements(lattice: Lattice, displacements_mm: Array) -> Lattice:
-    """Make a copy of a lattice with other displacements.
+    """Return a copy of a lattice with new displacements.
 
     Parameters
     ----------
     lattice : Lattice
-        Lattice whose grid is kept.
+        Lattice that provides the grid of control points.
     displacements_mm : (nx, ny, nz, 3) float64 array
         New displacements, in mm. A flat array with the same number of values in the same order is also accepted.
 
@@ -139,14 +140,14 @@ def replace_displacements(lattice: Lattice, displacements_mm: Array) -> Lattice:
 
 
 def basis_matrix(points_mm: Array, lattice: Lattice) -> sparse.csr_array:
-    """Compute the B-spline weight of every control point at given points.
+    """Compute the B-spline weight of every control point at a set of points.
 
     Parameters
     ----------
     points_mm : (n, 3) float64 array
         Points, in mm.
     lattice : Lattice
-        Grid of control points; its displacements are not used.
+        Lattice of control points; the displacements are not used.
 
     Returns
     -------
@@ -170,7 +171,7 @@ def basis_matrix(points_mm: Array, lattice: Lattice) -> sparse.csr_array:
 
 
 def min_jacobian_determinant(lattice: Lattice) -> float:
-    """Compute the minimum Jacobian determinant of a deformation; if it is positive, the deformation does not fold.
+    """Compute the minimum Jacobian determinant of a deformation, which is positive if the deformation does not fold.
 
     Parameters
     ----------
@@ -196,7 +197,7 @@ def min_jacobian_determinant(lattice: Lattice) -> float:
 
 
 def _axis_basis(count: int) -> tuple[Array, Array]:
-    """Return the weights (samples, count) of the control points along an axis, and their derivatives per pitch."""
+    """Return the B-spline weights (samples, count) along an axis, and their derivatives per lattice pitch."""
     cells = count - 3
     places = np.linspace(0, cells, cells * (_SAMPLES_PER_CELL_EDGE - 1) + 1)
     cell = np.minimum(places.astype(np.int64), cells - 1)
@@ -211,7 +212,7 @@ def _axis_basis(count: int) -> tuple[Array, Array]:
 
 
 def _pad_displacements(lattice: Lattice) -> Array:
-    """Pad the displacements with control points around the lattice: zeros, or copies along the shaft."""
+    """Pad the displacements with zeros on all sides, except for copies of the end layer along the shaft."""
     around = np.pad(lattice.displacements_mm, ((_PAD_POINTS, _PAD_POINTS),) * 3 + ((0, 0),)).astype(np.float64)
     _extend_along_shaft(around, lattice.shaft_sign)
     return around
@@ -229,7 +230,7 @@ def _extend_along_shaft(padded: np.ndarray, shaft: int) -> None:
 def _bspline_weights(t):  # type: ignore[no-untyped-def]
     """Return the uniform cubic B-spline weights of the four nearest control points.
 
-    `t` (0 to 1) is the distance from the second control point, in pitches.
+    `t` (0 to 1) is the distance from the second control point, in lattice pitches.
     """
     s = 1 - t
     return s**3 / 6, (3 * t**3 - 6 * t**2 + 4) / 6, (3 * s**3 - 6 * s**2 + 4) / 6, t**3 / 6
@@ -243,11 +244,11 @@ def _apply_displacements(points, origin, pitch, padded):  # type: ignore[no-unty
     for n in range(len(points)):
         for axis in range(3):
             scaled = (points[n, axis] - origin[axis]) / pitch
-            # Beyond the padding the displacement is constant.
+            # The displacement is constant outside the padded lattice.
             cell = min(max(np.floor(scaled), -2.0), padded.shape[axis] - 6.0)
             start[axis] = int(cell) + 2
-            # The weights are assigned one by one, because numba takes seconds to compile the assignment of a tuple to a
-            # row.
+            # The weights are assigned individually, because Numba needs several seconds to compile the assignment of a
+            # tuple to an array row.
             a, b, c, d = _bspline_weights(min(max(scaled - cell, 0.0), 1.0))
             weight[axis, 0], weight[axis, 1], weight[axis, 2], weight[axis, 3] = a, b, c, d
         first, second, third = start[0], start[1], start[2]

@@ -16,14 +16,14 @@ Indices = NDArray[np.integer[Any]]
 
 
 class Mesh(NamedTuple):
-    """Triangle mesh.
+    """Triangle mesh of vertices and faces.
 
     Attributes
     ----------
     vertices : (n, 3) float64 array
         Vertices, in mm.
     faces : (m, 3) integer array
-        Vertex indices of each triangle, wound outward.
+        Vertex indices of each triangle, in the order that makes the normal point outward.
     """
 
     vertices: Array
@@ -48,7 +48,7 @@ def is_mesh(thing: Any) -> bool:
     Parameters
     ----------
     thing : object
-        Any object.
+        Object to test.
 
     Returns
     -------
@@ -65,7 +65,7 @@ class MeshField:
 
     def __get__(self, holder: Any, owner: Any = None) -> "trimesh.Trimesh":
         if holder is None:
-            raise AttributeError("mesh")  # The dataclass then treats the field as a field without a default.
+            raise AttributeError("mesh")  # This error makes the dataclass treat the field as one without a default.
         if isinstance(holder.__dict__["_mesh"], Mesh):
             holder.__dict__["_mesh"] = holder.__dict__["_mesh"].as_trimesh()
         mesh: trimesh.Trimesh = holder.__dict__["_mesh"]
@@ -86,7 +86,7 @@ class MeshField:
         Returns
         -------
         Mesh
-            Vertices in mm and faces.
+            Mesh with vertices in mm.
         """
         held = holder.__dict__["_mesh"]
         return held if isinstance(held, Mesh) else Mesh(held.vertices, held.faces)

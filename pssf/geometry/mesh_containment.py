@@ -1,9 +1,9 @@
-"""Tests whether one closed mesh contains another, or whether two are disjoint, without Boolean operations.
+"""Tests of whether a closed mesh contains another mesh, or two meshes are disjoint, without Boolean operations.
 
-Faces are sorted into the cells of a grid. Two faces in the same cell are tested for separating axes (Gottschalk, Lin
-and Manocha 1996). Faces without a separating axis count as intersecting. If no faces intersect, each connected
-component is entirely inside or outside the other mesh. This is decided by the solid angle of the other mesh at one
-vertex of the component (van Oosterom and Strackee 1983).
+The faces are sorted into the cells of a grid. Two faces in the same cell intersect if they have no separating axis
+(Gottschalk, Lin and Manocha 1996). If no faces intersect, each connected component of a mesh is entirely inside or
+outside the other mesh. The solid angle of the other mesh, seen from one vertex of the component, distinguishes the two
+cases (van Oosterom and Strackee 1983).
 """
 
 import math
@@ -17,16 +17,16 @@ from ..core.numba_kernel import kernel, kernel_helper
 from .mesh import Mesh
 from .mesh_topology import label_bodies
 
-# Edge length of a grid cell relative to the mean extent of a face.
+# Edge length of a grid cell, relative to the mean edge length of the face bounding boxes.
 _SIDE = 2.5
-# Largest number of cells along an axis.
+# Maximum number of grid cells along an axis.
 _MOST_CELLS = 128
-# Distance below which two faces count as intersecting, in mm.
+# Distance below which two faces are classified as intersecting, in mm.
 _CONTACT_DISTANCE_MM = 1e-9
 
 
 class _Faces(NamedTuple):
-    """Faces of a mesh, in mm.
+    """Faces of a mesh with bounding boxes and planes, in mm.
 
     `corners` (n, 3, 3) are the corners of each face. `boxes` (n, 2, 3) are the bounding boxes of the faces. `planes`
     (n, 4) are the unit normals of the faces and the distances of the face planes from the origin.
@@ -40,7 +40,7 @@ class _Faces(NamedTuple):
 class _Grid(NamedTuple):
     """Faces of a mesh, sorted into the cells of a grid.
 
-    The faces of cell k are ``order[starts[k]:starts[k + 1]]``; the cell index varies fastest along x.
+    The indices of the faces in cell k are ``order[starts[k]:starts[k + 1]]``. The cell index k varies fastest along x.
     """
 
     mesh: "_Faces"
@@ -64,7 +64,7 @@ def is_mesh_within(inner: Mesh, outer: Mesh) -> bool:
     Returns
     -------
     bool
-        True if `inner` is completely inside `outer` and their faces do not touch within 1e-9 mm.
+        True if `inner` is entirely inside `outer`, with more than 1e-9 mm between the faces of the two meshes.
     """
     one, other = (_prepare_faces(np.asarray(mesh.vertices, np.float64), mesh.faces) for mesh in (inner, outer))
     low, high = other.boxes[:, 0].min(axis=0), other.boxes[:, 1].max(axis=0)
@@ -78,7 +78,7 @@ def is_mesh_within(inner: Mesh, outer: Mesh) -> bool:
 
 
 def are_meshes_disjoint(one: Mesh, other: Mesh) -> bool:
-    """Report whether two closed meshes have no point in common.
+    """Report whether two closed meshes are disjoint.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def are_meshes_disjoint(one: Mesh, other: Mesh) -> bool:
     Returns
     -------
     bool
-        True if no component is inside the other mesh and the faces of the two meshes do not touch within 1e-9 mm.
+        True if no component is inside the other mesh, and the faces of the two meshes are more than 1e-9 mm apart.
     """
     first, second = (_prepare_faces(np.asarray(mesh.vertices, np.float64), mesh.faces) for mesh in (one, other))
     if _has_intersecting_faces(first, _build_grid(second)):
@@ -101,7 +101,7 @@ def are_meshes_disjoint(one: Mesh, other: Mesh) -> bool:
 
 
 def _build_grid(mesh: _Faces) -> _Grid:
-    """Build the grid over the bounding box of a mesh and sort its faces into the cells."""
+    """Build a grid over the bounding box of a mesh and sort the faces into the grid cells."""
     low, high = mesh.boxes[:, 0].min(axis=0), mesh.boxes[:, 1].max(axis=0)
     extent_mm = float((mesh.boxes[:, 1] - mesh.boxes[:, 0]).mean())
     side_mm = max(_SIDE * extent_mm, float((high - low).max()) / _MOST_CELLS)
@@ -115,7 +115,7 @@ def _build_grid(mesh: _Faces) -> _Grid:
 
 
 def _pick_body_vertices(mesh: Mesh) -> Array:
-    """Return one vertex of each connected component of a mesh (components, 3), in mm."""
+    """Return one vertex of each connected component of a mesh, as a (components, 3) array in mm."""
     faces = np.ascontiguousarray(mesh.faces, np.int32)
     body, count = label_bodies(faces, len(mesh.vertices))
     first = np.full(count, -1)
@@ -140,7 +140,7 @@ def _prepare_faces(vertices: Array, faces: NDArray[np.integer]) -> _Faces:
         ux, uy, uz = face[1, 0] - face[0, 0], face[1, 1] - face[0, 1], face[1, 2] - face[0, 2]
         vx, vy, vz = face[2, 0] - face[0, 0], face[2, 1] - face[0, 1], face[2, 2] - face[0, 2]
         x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-        # A face without area has no normal; it gets a zero normal, which never separates two faces.
+        # A face without area has no normal. Its normal is set to zero, because a zero vector never separates two faces.
         length = math.sqrt(x * x + y * y + z * z)
         share = 1.0 / length if length > 0.0 else 0.0
         x, y, z = x * share, y * share, z * share
@@ -151,9 +151,9 @@ def _prepare_faces(vertices: Array, faces: NDArray[np.integer]) -> _Faces:
 
 @kernel_helper()
 def _cell_range(low: float, high: float, origin: float, side: float, count: int) -> tuple[int, int]:
-    """Return the first and the last cell that an interval in mm overlaps, for `count` cells along an axis.
+    """Return the indices of the first and the last of `count` cells along an axis that an interval in mm overlaps.
 
-    If no cell overlaps, the last index is less than the first.
+    If the interval overlaps no cell, the last index is less than the first index.
     """
     first, last = int((low - origin - _CONTACT_DISTANCE_MM) / side), int((high - origin + _CONTACT_DISTANCE_MM) / side)
     return max(first, 0), min(last, count - 1)
@@ -183,7 +183,7 @@ def _fill_grid(grid: _Grid) -> None:
 
 @kernel()
 def _has_intersecting_faces(faces: _Faces, grid: _Grid) -> bool:
-    """Report whether any of the faces intersects a face in the grid."""
+    """Report whether any face of a mesh intersects a face in the grid of another mesh."""
     counts, boxes, around = grid.counts, faces.boxes, grid.mesh.boxes
     for k in range(len(boxes)):
         x, x_last = _cell_range(boxes[k, 0, 0], boxes[k, 1, 0], grid.low[0], grid.side_mm, counts[0])
@@ -230,7 +230,7 @@ def _is_on_one_side(face: Array, plane: Array) -> bool:
 
 @kernel_helper()
 def _is_face_pair_intersecting(one: Array, other: Array) -> bool:
-    """Report whether two faces (3, 3) intersect: no cross product of two edges is a separating axis."""
+    """Report whether two faces (3, 3) intersect, which is the case if no cross product of edges separates them."""
     for i in range(3):
         j = (i + 1) % 3
         ux, uy, uz = one[j, 0] - one[i, 0], one[j, 1] - one[i, 1], one[j, 2] - one[i, 2]
@@ -244,7 +244,7 @@ def _is_face_pair_intersecting(one: Array, other: Array) -> bool:
 
 @kernel_helper()
 def _is_separated_along(one: Array, other: Array, x: float, y: float, z: float) -> bool:
-    """Report whether an axis (x, y, z) separates two faces (3, 3); a zero vector never separates them."""
+    """Report whether the axis (x, y, z) separates two faces (3, 3); a zero vector never separates two faces."""
     a, b, c = (
         one[0, 0] * x + one[0, 1] * y + one[0, 2] * z,
         one[1, 0] * x + one[1, 1] * y + one[1, 2] * z,
@@ -261,7 +261,7 @@ def _is_separated_along(one: Array, other: Array, x: float, y: float, z: float) 
 
 @kernel()
 def _winding_number(place: Array, faces: Array) -> float:
-    """Compute the winding number of a closed mesh with faces (n, 3, 3) around a point (3,)."""
+    """Compute the winding number around a point (3,) for a closed mesh with faces (n, 3, 3)."""
     total = 0.0
     for k in range(len(faces)):
         ax, ay, az = faces[k, 0, 0] - place[0], faces[k, 0, 1] - place[1], faces[k, 0, 2] - place[2]

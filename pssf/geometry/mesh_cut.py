@@ -1,4 +1,4 @@
-"""Cut a closed mesh at a given height, for example a bone at its shaft."""
+"""Cutting of a closed mesh at a given height, for example of a bone at its shaft."""
 
 import numpy as np
 
@@ -7,31 +7,31 @@ from .mesh import Indices, Mesh
 
 
 def cut_mesh_at_height(mesh: Mesh, direction: int, height_mm: float) -> Mesh:
-    """Keep the part of a closed mesh below or above a given height, and close the cut with a triangle fan.
+    """Cut a closed mesh at a given height, and close the cut surface with a triangle fan.
 
     Parameters
     ----------
     mesh : Mesh
-        Closed mesh, in mm. The cross-section must be a single outline that is star-shaped about its centre, as for a
+        Closed mesh, in mm. The cross-section at the cut must be a single star-shaped outline, such as that of a bone
         shaft.
     direction : int
-        +1 keeps the part below the height, -1 the part above it.
+        +1 to retain the mesh below the cut, -1 to retain the mesh above the cut.
     height_mm : float
         Height of the cut along z, in mm.
 
     Returns
     -------
     Mesh
-        Closed mesh; the input mesh if it does not reach the height.
+        Closed mesh after the cut. A mesh that does not reach the cutting height is returned unchanged.
     """
-    # Manifold.trim_by_plane is not used, because it takes 79 ms instead of 6 ms and changes vertices and faces.
+    # Manifold.trim_by_plane is not used, because it requires 79 ms instead of 6 ms and changes vertices and faces.
     within = direction * mesh.vertices[:, 2] <= direction * height_mm
     count = within[mesh.faces].sum(axis=1)
     crossed = (count == 1) | (count == 2)
     if not crossed.any():
         return mesh
-    # The corners of each cut face are rotated, so that the first corner is the only one on its side of the cutting
-    # plane.
+    # The corners of each cut face are rotated, so that the first corner is on one side of the cutting plane and the
+    # other two corners are on the opposite side.
     cut = mesh.faces[crossed]
     first = (within[cut] == (count[crossed] == 1)[:, None]).argmax(axis=1)
     one, two, three = np.take_along_axis(cut, (first[:, None] + np.arange(3)) % 3, axis=1).T
@@ -53,9 +53,9 @@ def cut_mesh_at_height(mesh: Mesh, direction: int, height_mm: float) -> Mesh:
 def _add_crossing_vertices(
     vertices: Array, one: Indices, two: Indices, three: Indices, height_mm: float
 ) -> tuple[Array, Indices, Indices]:
-    """Append vertices where the face edges one-two and three-one cross the given height.
+    """Append the vertices at which the face edges one-two and three-one cross a given height.
 
-    Returns all vertices, and the indices (n,) of the new vertices on each of the two edges.
+    The return values are all vertices, and the indices (n,) of the new vertices on each of the two edges.
     """
     sides = np.sort(np.concatenate((np.column_stack((one, two)), np.column_stack((three, one)))), axis=1)
     key, number = np.unique(sides @ [len(vertices), 1], return_inverse=True)

@@ -1,8 +1,8 @@
 """Repair of meshes that should bound a solid.
 
-A fault is repaired if the mesh has only one plausible interpretation; otherwise the mesh cannot be traced. A mesh
-bounds a solid if every directed edge occurs as often as its reverse. The signs of the intersections of any ray then add
-up to zero, even for touching bodies, cavities, very thin faces and overlaps.
+A fault is repaired if the mesh has only one plausible interpretation; otherwise, ray casting raises an error. A mesh
+bounds a solid if every directed edge occurs as often as the edge in the opposite direction. A ray then enters and
+leaves the solid equally often, even for touching bodies, cavities, very thin faces and overlaps.
 """
 
 import math
@@ -26,13 +26,13 @@ from .mesh_topology import (
     label_bodies,
 )
 
-# Fraction of the volume of the bounding cube below which a mesh counts as a sheet without volume.
+# Minimum volume of a solid, as a fraction of the bounding cube. A mesh with a smaller volume is classified as a sheet.
 _MIN_VOLUME_FRACTION = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True)
 class Fault:
-    """Problem found in a surface.
+    """Problem found in a surface mesh.
 
     Attributes
     ----------
@@ -41,14 +41,14 @@ class Fault:
     problem : str
         Description of the problem.
     count : int
-        Number of faces, edges, vertices or sample rays with the problem; 0 if it concerns the whole surface.
+        Number of faces, edges, vertices or sample rays with the problem; 0 if the problem affects the entire surface.
     first_items : tuple
-        The first few faces or vertices concerned, as indices in the user's mesh; for edges, pairs of vertices.
+        First affected faces, edges or vertices, as indices in the user's mesh. An edge is a pair of vertex indices.
     outcome : str
-        ``"error"`` if the mesh raises an error, ``"repaired"`` if it was repaired, ``"warning"`` if it is traced
-        without a change.
+        ``"error"`` if ray casting of the mesh raises an error, ``"repaired"`` if the mesh was repaired, ``"warning"``
+        if the mesh is used unchanged.
     hint : str
-        Explanation of what is allowed, or how the problem was repaired.
+        Requirement that the mesh must meet, or description of the repair.
     """
 
     surface: str
@@ -70,7 +70,7 @@ class Fault:
 
 @dataclass(frozen=True, kw_only=True)
 class Solid:
-    """Repaired mesh of a solid, for the ray-casting engines.
+    """Repaired mesh of a solid, as used by the ray-casting engines.
 
     Attributes
     ----------
@@ -79,9 +79,9 @@ class Solid:
     faces : (m, 3) int32 array
         Vertex indices of the outward faces. The mesh is closed unless a fault has the outcome ``"error"``.
     source_vertices : (n,) int64 array
-        Index of each point in the original mesh.
+        Index of each vertex in the original mesh.
     faults : tuple of Fault
-        Problems that were found.
+        Problems that were found in the original mesh.
     """
 
     points: Array
@@ -91,7 +91,7 @@ class Solid:
 
     @property
     def fatal_faults(self) -> tuple[Fault, ...]:
-        """Faults that cannot be repaired; tracing a mesh with a fatal fault raises InputError."""
+        """Faults that cannot be repaired. Ray casting of a mesh with a fatal fault raises InputError."""
         return tuple(fault for fault in self.faults if fault.outcome == "error")
 
     def add_faults(self, *faults: Fault) -> "Solid":
@@ -105,13 +105,13 @@ class Solid:
         Returns
         -------
         Solid
-            Solid with the old and the new faults.
+            Solid with the existing and the additional faults.
         """
         return replace(self, faults=(*self.faults, *faults))
 
 
 def repair_mesh(vertices: Array, faces: NDArray[np.integer], name: str) -> Solid:
-    """Repair a mesh and list its faults, both repaired and fatal.
+    """Repair a mesh and list all faults, both repaired and fatal.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def repair_mesh(vertices: Array, faces: NDArray[np.integer], name: str) -> Solid
     faces : (m, 3) integer array
         Vertex indices of each face.
     name : str
-        Name of the surface, for the descriptions of the faults.
+        Name of the surface, for error messages and warnings.
 
     Returns
     -------
@@ -141,8 +141,7 @@ def repair_mesh(vertices: Array, faces: NDArray[np.integer], name: str) -> Solid
             return _orient_outward(single, name)
         if not closed:
             return single.add_faults(*_find_open_edges(single, name))
-        # The duplicates are kept, because two bodies share faces, and the mesh is closed only if each body has its own
-        # copy.
+        # Duplicate faces are retained if the mesh is closed only with them, as for two bodies with a common face.
     return _orient_outward(_drop_degenerate_faces(solid, np.arange(len(triangles)), name)[0], name)
 
 
@@ -157,15 +156,15 @@ def require_usable_solid(solid: Solid) -> None:
     Raises
     ------
     InputError
-        If the solid has a fatal fault. The message names the surface, and the number and the first indices of the bad
-        faces, edges or vertices.
+        If the solid has a fatal fault. The message contains the surface name, and the number and the first indices of
+        the faulty faces, edges or vertices.
     """
     if solid.fatal_faults:
         raise InputError("; ".join(map(str, solid.fatal_faults)))
 
 
 def _find_unusable_input(points: Array, faces: NDArray[np.integer], stray: int, name: str) -> Fault | None:
-    """Return a fault if faces are missing, vertices are missing or coordinates are not finite; else None."""
+    """Return a fault if faces or vertices are missing or if coordinates are not finite; otherwise, return None."""
 
     def refuse(what: str, bad: NDArray[np.integer], hint: str) -> Fault:
         first = tuple(map(int, bad[:3]))
@@ -185,13 +184,13 @@ def _find_unusable_input(points: Array, faces: NDArray[np.integer], stray: int, 
 
 
 def _make_repair_fault(name: str, what: str, numbers: NDArray[np.integer], hint: str) -> Fault:
-    """Make a fault for a problem that was repaired."""
+    """Create the fault record of a problem that was repaired."""
     first = tuple(map(int, numbers[:3]))
     return Fault(surface=name, problem=what, count=len(numbers), first_items=first, outcome="repaired", hint=hint)
 
 
 def _remove_duplicates(solid: Solid, name: str) -> Solid:
-    """Merge equal vertices, then remove faces with a repeated vertex and duplicate faces."""
+    """Merge duplicate vertices, and remove duplicate faces and faces with a repeated vertex."""
     first, number = find_distinct_rows(solid.points + 0.0)  # Adding 0.0 converts -0.0 to 0.0.
     if len(first) < len(solid.points):
         again = solid.source_vertices[_unpicked_indices(first, len(solid.points))]
@@ -210,7 +209,7 @@ def _remove_duplicates(solid: Solid, name: str) -> Solid:
 
 
 def _drop_degenerate_faces(solid: Solid, numbers: NDArray[np.int64], name: str) -> tuple[Solid, NDArray[np.int64]]:
-    """Remove faces with a repeated vertex; return the solid and the indices (k,) of the faces that remain."""
+    """Remove faces with a repeated vertex, and return the solid and the indices (k,) of the remaining faces."""
     twice = find_degenerate_faces(solid.faces)
     if not twice.any():
         return solid, numbers
@@ -226,7 +225,7 @@ def _unpicked_indices(picked: NDArray[np.int64], count: int) -> NDArray[np.int64
 
 
 def _find_open_edges(solid: Solid, name: str) -> list[Fault]:
-    """Make the faults for edges at which a mesh is not closed."""
+    """Return the faults of a mesh that is not closed, one for each type of faulty edge."""
     start, end = (solid.faces[:, order].ravel().astype(np.int64) for order in ([0, 1, 2], [1, 2, 0]))
     edges, inverse, degree = np.unique(
         np.column_stack((np.minimum(start, end), np.maximum(start, end))),
@@ -251,10 +250,10 @@ def _find_open_edges(solid: Solid, name: str) -> list[Fault]:
 
 
 def _orient_outward(solid: Solid, name: str) -> Solid:
-    """Flip the faces of a mesh that is inside out, or of single bodies that are inside out and not cavities."""
+    """Flip the faces of a mesh that is inside out, or of individual inside-out bodies that are not cavities."""
     faces, faults = solid.faces, []
     half_mm = max(float(column.max() / 2 - column.min() / 2) for column in solid.points.T)
-    # Coordinates are scaled to the size of the mesh, so that no mesh size overflows. A power of two adds no rounding
+    # Coordinates are scaled by the mesh size to avoid overflow. The scale is a power of two, which causes no rounding
     # error.
     unit_mm = math.ldexp(1.0, math.frexp(half_mm)[1] - 1)
     points = solid.points / unit_mm
@@ -266,7 +265,7 @@ def _orient_outward(solid: Solid, name: str) -> Solid:
         hint = "flipped outward"
         return Fault(surface=name, problem=what, count=number, first_items=(), outcome="repaired", hint=hint)
 
-    # If the volumes of the bodies cancel within rounding, the whole mesh is not flipped; each body is tested instead.
+    # If the body volumes cancel within rounding error, the bodies are tested individually instead of flipping the mesh.
     if volumes.sum() < -1e-9 * abs(volumes).sum():
         faces, volumes = np.ascontiguousarray(faces[:, ::-1]), -volumes
         faults.append(turned("mesh is inside out; faces", len(faces)))

@@ -22,16 +22,16 @@ def convert_faces_to_int32(faces: NDArray[np.integer], count: int) -> tuple[Face
     Returns
     -------
     faces : (m, 3) int32 array
-        Copy of the vertex indices.
+        Copy of the vertex indices as int32.
     stray : int
-        Number of indices outside the range 0 to `count` - 1.
+        Number of vertex indices outside the range from 0 to `count` - 1.
     """
     return faces.astype(np.int32, order="C"), int(np.count_nonzero((faces < 0) | (faces >= count)))
 
 
 @kernel_helper()
 def _mix_hash(key: np.uint64) -> np.uint64:
-    """Mix the bits of a key (SplitMix64, Steele et al. 2014)."""
+    """Compute the hash of a 64-bit key with the SplitMix64 algorithm (Steele et al. 2014)."""
     key = (key ^ (key >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     key = (key ^ (key >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
     return np.uint64(key ^ (key >> np.uint64(31)))
@@ -39,7 +39,7 @@ def _mix_hash(key: np.uint64) -> np.uint64:
 
 @kernel()
 def hash_edge_balance(faces: Faces) -> np.uint64:
-    """Sum the hashes of all undirected edges, with opposite signs for the two directions.
+    """Add up the hashes of all edges, with opposite signs for the two directions of an edge.
 
     Parameters
     ----------
@@ -49,8 +49,8 @@ def hash_edge_balance(faces: Faces) -> np.uint64:
     Returns
     -------
     uint64
-        0 if every directed edge occurs as often as its reverse. The probability that an unbalanced mesh gives 0 is
-        1e-19.
+        Sum of the hashes, which is 0 if every edge occurs equally often in both directions. The probability of a sum of
+        0 for any other mesh is 1e-19.
     """
     total = np.uint64(0)
     for k in range(len(faces)):
@@ -67,7 +67,7 @@ def hash_edge_balance(faces: Faces) -> np.uint64:
 
 @kernel()
 def find_distinct_rows(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
-    """Find distinct rows by bitwise comparison: -0.0 differs from 0.0, and identical NaN are equal.
+    """Find distinct rows by bitwise comparison, so that -0.0 differs from 0.0, and identical NaN values are equal.
 
     Parameters
     ----------
@@ -79,7 +79,7 @@ def find_distinct_rows(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int32
     first : (k,) int64 array
         Index of the first occurrence of each distinct row, in ascending order.
     number : (n,) int32 array
-        Position in `first` of the distinct row that equals each row.
+        Index into `first` for each row, which identifies the equal distinct row.
     """
     size = 1
     while size < 2 * len(rows):
@@ -102,7 +102,7 @@ def find_distinct_rows(rows: Array) -> tuple[NDArray[np.int64], NDArray[np.int32
 
 
 def find_degenerate_faces(faces: Faces) -> NDArray[np.bool_]:
-    """Find faces with a repeated vertex; these faces do not affect whether a mesh is closed.
+    """Find faces with a repeated vertex, which do not affect whether a mesh is closed.
 
     Parameters
     ----------
@@ -125,14 +125,14 @@ def count_repeated_faces(points: Array, faces: Faces) -> int:
     Parameters
     ----------
     points : (n, 3) float64 array, mm
-        Vertices, in which 0.0 replaces -0.0.
+        Vertices, in which -0.0 has been replaced by 0.0.
     faces : (m, 3) int32 array
         Vertex indices of each face. Faces with a repeated vertex are ignored.
 
     Returns
     -------
     int
-        Number of repeated faces. A hash collision adds 1 with a probability of m**2 / 1e19.
+        Number of repeated faces. The number is too large by 1 with a probability of m**2 / 1e19 (hash collision).
     """
     bits, place = points.view(np.uint64), np.empty(len(points), np.uint64)
     for k in range(len(points)):
@@ -146,7 +146,7 @@ def count_repeated_faces(points: Array, faces: Faces) -> int:
         a, b, c = place[faces[k, 0]], place[faces[k, 1]], place[faces[k, 2]]
         if a == b or b == c or c == a:
             continue
-        # The corners are rotated, so that the key depends on the winding but not on which corner comes first.
+        # The corners are rotated, so that the key depends on the winding but not on the choice of the first corner.
         if b < a and b < c:
             a, b, c = b, c, a
         elif c < a and c < b:
@@ -197,7 +197,7 @@ def label_bodies(faces: Faces, count: int) -> tuple[NDArray[np.int32], int]:
     bodies = 0
     number = np.empty(count, np.int32)
     for vertex in range(count):
-        # A parent never has a higher index than its child, so every root is labelled before its children.
+        # A parent never has a higher index than a child, so each root is labelled before its children.
         if parent[vertex] == vertex:
             number[vertex] = bodies
             bodies += 1
@@ -224,7 +224,7 @@ def body_volumes_mm3(points: Array, faces: NDArray[np.int32], body: NDArray[np.i
     Returns
     -------
     (count,) float64 array
-        Volume of each body, in mm3; negative if its faces point inward.
+        Volume of each body, in mm3; negative if the faces of the body point inward.
     """
     volumes = np.zeros(count)
     o = points[faces[0, 0]]
@@ -239,7 +239,7 @@ def body_volumes_mm3(points: Array, faces: NDArray[np.int32], body: NDArray[np.i
 
 
 def find_used_vertices(faces: Faces, count: int) -> NDArray[np.bool_]:
-    """Find the vertices that are used by at least one face.
+    """Find the vertices that belong to at least one face.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ def find_used_vertices(faces: Faces, count: int) -> NDArray[np.bool_]:
 
 
 def drop_unused_vertices(points: Array, faces: Faces) -> tuple[Array, Faces]:
-    """Remove the vertices that no face uses.
+    """Remove the vertices that do not belong to any face.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ def drop_unused_vertices(points: Array, faces: Faces) -> tuple[Array, Faces]:
     Returns
     -------
     points : (k, 3) float64 array
-        Used vertices, in mm.
+        Remaining vertices, in mm.
     faces : (m, 3) int32 array
         Faces with the new vertex indices.
     """

@@ -1,4 +1,4 @@
-"""Scenes: closed surfaces with their inside and outside materials."""
+"""Scenes of closed surfaces with inside and outside materials."""
 
 import hashlib
 import math
@@ -26,15 +26,15 @@ from .mesh_repair import (
 if TYPE_CHECKING:
     import trimesh
 
-# Range of the plausible extent of a scene, in mm. A scene outside this range probably has another unit.
+# Range of plausible scene extents, in mm. A scene outside this range probably has a unit other than mm.
 SIZE_RANGE_MM = (5.0, 3000.0)
 # Smallest and largest allowed extent of any scene, in mm. Within this range, squared coordinates do not overflow, and
-# float64 resolves a micrometre in a scene of a kilometre.
+# float64 coordinates resolve 1 um in a scene with an extent of 1 km.
 _SIZE_LIMITS_MM = (1e-6, 1e12)
 
 
 class MeshNotice(UserWarning):
-    """Warning that a mesh was repaired before ray casting; the message names the faults and the repair."""
+    """Warning that a mesh was repaired before ray casting. The message describes the faults and the repair."""
 
 
 @check_keywords()
@@ -47,25 +47,26 @@ class Surface:
     Parameters
     ----------
     mesh : trimesh.Trimesh or Mesh
-        Closed mesh in mm with outward normals. A Mesh is converted to a trimesh.Trimesh when the attribute is read. The
-        mesh is repaired once, when it is first used.
+        Closed mesh in mm with outward normals. The attribute is always returned as a trimesh.Trimesh. The mesh is
+        repaired when it is first used.
     inside : str
-        Material inside: the name of a tissue (``data/tissues.toml``), ``"FORMULA@DENSITY"`` in g/cm3 such as
+        Material inside the mesh: the name of a tissue (``data/tissues.toml``), ``"FORMULA@DENSITY"`` in g/cm3 such as
         ``"Ti@4.51"``, or percent by mass such as ``"Ti=90,Al=6,V=4@4.43"``.
     outside : str
-        Material outside, in the same notation.
+        Material outside the mesh, in the same notation as `inside`.
     name : str, default "surface"
-        Name in exports and error messages: 1 to 64 letters, digits, ``_``, ``-``, ``.`` and blanks.
+        Name of the surface in exports and error messages: 1 to 64 letters, digits, ``_``, ``-``, ``.`` and spaces.
     inside_density : Density, optional
-        Relative density of the material inside, if it varies. Path lengths are then integrals of the density.
+        Relative density of the material inside, if the density varies. Path lengths are then integrals of the relative
+        density.
     outside_density : Density, optional
-        Relative density of the material outside. It must be the `inside_density` of the surrounding surface; otherwise
-        `trace` raises InputError.
+        Relative density of the material outside. The density must be the `inside_density` of the surrounding surface;
+        otherwise, `trace` raises InputError.
 
     Raises
     ------
     InputError
-        If an argument has the wrong type or the name is invalid. The mesh itself is checked by `check` and `trace`.
+        If an argument has the wrong type or the name is invalid. The mesh is validated later, by `check` and `trace`.
     """
 
     if TYPE_CHECKING:
@@ -80,7 +81,7 @@ class Surface:
 
     def __post_init__(self) -> None:
         if not isinstance(self.name, str) or not re.fullmatch(r"[\w .-]{1,64}", self.name):
-            raise InputError(f"surface name must be 1 to 64 letters, digits, _, -, . and blanks, got {self.name!r}")
+            raise InputError(f"surface name must be 1 to 64 letters, digits, _, -, . and spaces, got {self.name!r}")
         if not is_mesh(held := self.__dict__["_mesh"]):
             raise InputError(f"{self.name}: mesh must be a trimesh.Trimesh, got {reprlib.repr(held)}")
         for label, material in (("inside", self.inside), ("outside", self.outside)):
@@ -109,7 +110,7 @@ class Surface:
         Returns
         -------
         dict
-            Name, materials, types of varying densities, and size and SHA-256 hash of the mesh; JSON-ready.
+            JSON-ready dict with name, materials, density types, and size and SHA-256 hash of the mesh.
         """
         vertices, faces = self.mesh_arrays
         digest = hashlib.sha256(np.ascontiguousarray(vertices, "<f8").tobytes())
@@ -123,12 +124,12 @@ class Surface:
 
     @cached_property
     def solid(self) -> Solid:
-        """The repaired mesh with its faults."""
+        """Repaired mesh with a list of its faults."""
         return repair_mesh(*self.mesh_arrays, self.name)
 
     @property
     def bounds_mm(self) -> Array:
-        """Bounding box: lowest and highest corner as a (2, 3) array, in mm."""
+        """Bounding box of the surface: lowest and highest corner as a (2, 3) array, in mm."""
         points = self.solid.points
         return np.array([[edge(points[:, axis]) for axis in range(3)] for edge in (np.min, np.max)])
 
@@ -138,24 +139,24 @@ class Surface:
 class Scene:
     """Closed surfaces in a surrounding gas.
 
-    The `outside` of each surface is the material that immediately surrounds it. Two scenes are equal only if they are
-    the same object. A scene without surfaces gives a flat-field radiograph.
+    The `outside` material of each surface is the material that immediately surrounds the surface. Two scenes are equal
+    only if they are the same object. A scene without surfaces yields a flat-field radiograph.
 
     Parameters
     ----------
     surfaces : iterable of Surface
         Surfaces of the scene.
     ambient : str, default "air"
-        Gas around all surfaces, which does not attenuate; `simulate` raises InputError for a denser material. For a
-        phantom in water, add a closed surface of water in air.
+        Gas around all surfaces. The gas does not attenuate, and `simulate` raises InputError for a denser material. For
+        a phantom in water, add a closed surface that is filled with water and surrounded by air.
     size_mm : tuple of float, default (5.0, 3000.0)
-        Smallest and largest plausible extent of the scene, in mm. An extent outside this range suggests a wrong unit:
-        `check` reports an error and `trace` raises InputError. ``(0, inf)`` allows any extent.
+        Smallest and largest plausible extent of the scene, in mm. An extent outside this range suggests a wrong unit,
+        so `check` reports an error and `trace` raises InputError. ``(0, inf)`` allows any extent.
 
     Raises
     ------
     InputError
-        If an argument has the wrong type. Meshes and extent are checked by `check` and `trace`.
+        If an argument has the wrong type. Meshes and extent are validated later, by `check` and `trace`.
     """
 
     surfaces: tuple[Surface, ...]
@@ -190,7 +191,7 @@ class Scene:
         Returns
         -------
         dict
-            Ambient gas and a description of every surface; JSON-ready.
+            JSON-ready dict with the ambient gas and a description of every surface.
         """
         return {"ambient": self.ambient, "surfaces": [surface.table() for surface in self.surfaces]}
 
@@ -212,51 +213,52 @@ class Scene:
 
     @property
     def faults(self) -> tuple[Fault, ...]:
-        """Faults of the meshes in the order of the surfaces, followed by a fault if the extent is implausible."""
+        """Faults of all meshes in surface order, followed by a fault if the extent of the scene is implausible."""
         faults = [fault for surface in self.surfaces for fault in surface.solid.faults]
         if not self.surfaces or any(fault.outcome == "error" for fault in faults):
             return tuple(faults)
         low, high = max(self.size_mm[0], _SIZE_LIMITS_MM[0]), min(self.size_mm[1], _SIZE_LIMITS_MM[1])
-        # Halves are subtracted, because the difference of two coordinates near the limits of float64 could overflow.
+        # The coordinates are halved before subtraction, because the difference of very large numbers could overflow.
         across_mm = 2.0 * float((self.bounds_mm[1] / 2 - self.bounds_mm[0] / 2).max())
         away_mm = float(abs(self.bounds_mm).max())
         what = hint = ""
         if not low <= across_mm <= high:
             what = f"scene is {across_mm:.4g} mm across"
             other = "" if self.size_mm[0] <= across_mm <= self.size_mm[1] else "; or set Scene(..., size_mm=...)"
-            hint = f"it must be {low:g} to {high:g} mm{_suggest_unit(across_mm, low, high)}{other}"
+            hint = f"the extent must be {low:g} to {high:g} mm{_suggest_unit(across_mm, low, high)}{other}"
         elif away_mm > _SIZE_LIMITS_MM[1]:
-            what, hint = f"scene is {away_mm:.4g} mm from the origin", f"it must be within {_SIZE_LIMITS_MM[1]:g} mm"
+            what = f"scene extends {away_mm:.4g} mm from the origin"
+            hint = f"the distance must be at most {_SIZE_LIMITS_MM[1]:g} mm"
         if what:
             faults.append(Fault(surface="scene", problem=what, count=0, first_items=(), outcome="error", hint=hint))
         return tuple(faults)
 
 
 class HasScene(Protocol):
-    """Object with a scene, such as a `BuiltKnee`."""
+    """Any object that contains a scene, such as a `BuiltKnee`."""
 
     @property
     def scene(self) -> Scene:
-        """Closed surfaces of the object."""
+        """Scene with the closed surfaces of the object."""
 
 
 def resolve_scene(subject: Scene | HasScene) -> Scene:
-    """Return a scene, or the scene of a built object.
+    """Return the scene of an object, or return a scene unchanged.
 
     Parameters
     ----------
     subject : Scene or HasScene
-        Scene, or an object with a scene, such as a `BuiltKnee`.
+        Scene, or an object that contains a scene, such as a `BuiltKnee`.
 
     Returns
     -------
     Scene
-        The scene itself, or the scene of the object.
+        Scene with all closed surfaces.
 
     Raises
     ------
     InputError
-        If `subject` is anything else.
+        If `subject` is neither a scene nor an object that contains a scene.
     """
     scene = subject if isinstance(subject, Scene) else getattr(subject, "scene", None)
     if not isinstance(scene, Scene):
@@ -265,7 +267,7 @@ def resolve_scene(subject: Scene | HasScene) -> Scene:
 
 
 def require_traceable(scene: Scene) -> None:
-    """Raise an error if a scene cannot be traced, and warn about every repaired mesh.
+    """Raise an error if ray casting of a scene is impossible, and warn about every repaired mesh.
 
     Parameters
     ----------
@@ -275,8 +277,8 @@ def require_traceable(scene: Scene) -> None:
     Raises
     ------
     InputError
-        If a fault cannot be repaired. The message names each surface, and the number and the first indices of the bad
-        faces, edges or vertices.
+        If a fault cannot be repaired. The message contains the name of each surface, and the number and the first
+        indices of the faulty faces, edges or vertices.
 
     Warns
     -----
@@ -293,9 +295,9 @@ def require_traceable(scene: Scene) -> None:
 
 
 def _require_size_range(size_mm: tuple[float, float]) -> tuple[float, float]:
-    """Check the smallest and the largest extent, in mm, and return them as floats."""
+    """Validate the smallest and the largest extent, in mm, and return both values as floats."""
     if not isinstance(size_mm, tuple | list | np.ndarray) or len(size_mm) != 2:
-        raise InputError(f"scene: size_mm must be the least and the greatest extent in mm, got {size_mm!r}")
+        raise InputError(f"scene: size_mm must be the smallest and the largest extent in mm, got {size_mm!r}")
     low, high = size_mm
     require_in_range("scene: size_mm[1]", high, 0, math.inf, "mm")
     require_in_range("scene: size_mm[0]", low, 0, high, "mm")
@@ -303,7 +305,7 @@ def _require_size_range(size_mm: tuple[float, float]) -> tuple[float, float]:
 
 
 def _suggest_unit(across_mm: float, low: float, high: float) -> str:
-    """Suggest another unit that would make the extent of a scene plausible."""
+    """Return a hint that names a mesh unit with which the extent of a scene would be plausible."""
     for unit, factor in (("metres", 1000.0), ("centimetres", 10.0), ("inches", 25.4), ("micrometres", 0.001)):
         if low <= across_mm * factor <= high:
             return f" (if the mesh is in {unit}, use mesh.apply_scale({factor:g}))"

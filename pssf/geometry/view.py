@@ -1,8 +1,8 @@
 """Projection views: source and detector in the knee frame, in mm.
 
-In the knee frame, +x points to medial of a right knee, +y to the detector and +z to proximal. A posture rotates the
-knee within this frame. In PA projection its anterior side faces +y, in ML its lateral side, and in axial projection the
-foot.
+In the knee frame, +x points medially for a right knee, +y points to the detector and +z points proximally. A posture
+rotates the knee within this frame. The side of the knee that faces the detector (+y) is anterior in PA projection,
+lateral in ML projection and distal in axial projection.
 """
 
 import reprlib
@@ -18,12 +18,12 @@ from ..core.checks import (
 )
 from ..model.protocol import Protocol
 
-# The following limits allow a view of every scene that can be traced.
+# The limits below are wide enough for every scene that ray casting accepts.
 # Largest absolute coordinate of source and detector, in mm.
 _FARTHEST_MM = 1e14
 # Smallest and largest pixel size, in mm.
 _PIXEL_MM = (1e-9, 1e12)
-# Largest number of rows or columns.
+# Maximum number of detector rows or columns.
 _MOST_PIXELS = 65536
 # Smallest distance between source and detector along y, in mm.
 _MIN_SOURCE_DETECTOR_MM = 1e-6
@@ -33,14 +33,14 @@ _MIN_SOURCE_DETECTOR_MM = 1e-6
 class View:
     """Point source and flat detector parallel to the x-z plane.
 
-    Columns of the detector run towards +x, rows towards -z.
+    The column index of the detector increases towards +x, and the row index increases towards -z.
 
     Parameters
     ----------
     source_mm : tuple of float
         Position (x, y, z) of the source, in mm.
     centre_mm : tuple of float
-        Position (x, y, z) of the detector centre, in mm. Its y must exceed the y of the source.
+        Position (x, y, z) of the detector centre, in mm. The y coordinate must exceed that of the source.
     rows : int
         Number of detector rows.
     cols : int
@@ -51,7 +51,7 @@ class View:
     Raises
     ------
     InputError
-        If the detector is at or behind the source, or if a value has the wrong type or is out of range.
+        If the detector is not in front of the source, or if a value has the wrong type or is out of range.
     """
 
     source_mm: tuple[float, float, float]
@@ -78,18 +78,18 @@ class View:
 
     @property
     def first_pixel_mm(self) -> tuple[float, float, float]:
-        """Centre (x, y, z) of the pixel in row 0 and column 0, in mm."""
+        """Position (x, y, z) of the centre of the pixel in row 0 and column 0, in mm."""
         x, y, z = self.centre_mm
         return (x - (self.cols - 1) / 2 * self.pixel_mm, y, z + (self.rows - 1) / 2 * self.pixel_mm)
 
 
 def resolve_view(protocol: Protocol | View) -> View:
-    """Compute source and detector of a protocol; a view is returned unchanged.
+    """Compute the positions of source and detector for a protocol; a view is returned unchanged.
 
     The source at (0, -SOD, 0) is rotated about the x axis through the origin by ``beam_angle_deg``. A positive angle
-    moves it proximally, so that the beam points caudally. The detector stays in the plane y = SDD - SOD, centred on
-    the central ray. ``centre_x_mm`` and ``centre_z_mm`` shift source and detector together, so that the central ray
-    crosses the joint plane at x = ``centre_x_mm`` and z = ``centre_z_mm``.
+    moves the source proximally, so that the beam points caudally. The detector remains in the plane y = SDD - SOD,
+    centred on the central ray. ``centre_x_mm`` and ``centre_z_mm`` shift source and detector together, so that the
+    central ray crosses the joint plane at x = ``centre_x_mm`` and z = ``centre_z_mm``.
 
     Parameters
     ----------
@@ -99,12 +99,12 @@ def resolve_view(protocol: Protocol | View) -> View:
     Returns
     -------
     View
-        Source and detector.
+        View with source and detector.
 
     Raises
     ------
     InputError
-        If `protocol` is neither a Protocol nor a View, or if its beam must first be aligned with a knee (`beam_along`).
+        If `protocol` is neither a Protocol nor a View, or if `beam_along` requires alignment of the beam with a knee.
     """
     if isinstance(protocol, View):
         return protocol
@@ -127,20 +127,20 @@ def resolve_view(protocol: Protocol | View) -> View:
 
 
 def make_focal_spot_views(protocol: Protocol, points_per_side: int = 3) -> list[tuple[View, float]]:
-    """Sample a square focal spot: make views from several source positions, with integration weights.
+    """Create views from source positions across a square focal spot, with integration weights.
 
     Parameters
     ----------
     protocol : Protocol
         Acquisition protocol, which defines the size of the focal spot.
     points_per_side : int, default 3
-        Number of Gauss-Legendre points along each side of the focal spot. The integral is exact if the signal is a
-        polynomial of degree ``2 * points_per_side - 1`` over the focal spot.
+        Number of Gauss-Legendre points along each side of the focal spot. The integral is exact if the signal varies
+        over the focal spot as a polynomial of degree ``2 * points_per_side - 1``.
 
     Returns
     -------
     list of tuple of View and float
-        View from each source point and its weight; the weights add up to 1.
+        View from each source position, with the integration weight. The weights add up to 1.
     """
     middle, half = resolve_view(protocol), protocol.focal_spot_mm / 2
     places, weights = np.polynomial.legendre.leggauss(points_per_side)
@@ -172,7 +172,7 @@ def project_points(points_mm: Array, view: View) -> Array:
 
 
 def depth_fraction(points_mm: Array, view: View) -> Array:
-    """Compute the relative depth of points between source and detector plane.
+    """Compute the relative depth of points between the source and the detector plane.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def depth_fraction(points_mm: Array, view: View) -> Array:
 
 
 def project_at_depth(points_mm: Array, depth: Array, view: View) -> Array:
-    """Project points with a known relative depth onto the detector.
+    """Project points whose relative depth is known onto the detector.
 
     Parameters
     ----------
@@ -224,6 +224,6 @@ def magnification(view: View) -> float:
     Returns
     -------
     float
-        Size on the detector relative to the size in the joint plane, dimensionless.
+        Ratio of the size on the detector to the size in the joint plane, dimensionless.
     """
     return (view.centre_mm[1] - view.source_mm[1]) / -view.source_mm[1]

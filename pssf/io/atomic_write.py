@@ -1,4 +1,4 @@
-"""Write files atomically: a file appears completely or not at all."""
+"""Atomic writing of files: after an interruption, a file is either complete or absent."""
 
 import errno
 import os
@@ -16,19 +16,19 @@ from ..core.checks import InputError
 if sys.platform != "win32":
     import fcntl
 
-# Prefix of temporary files. No other file has this prefix, so no other file can be deleted by mistake.
+# Prefix of temporary files. The prefix is unique, so that no other file is deleted by mistake.
 _PREFIX = ".pssf-"
-_own_temporary_files = set[str]()  # temporary files that this process is writing
-# Error numbers of file systems that cannot flush a file or change its mode. A full disk gives other error numbers.
+_own_temporary_files = set[str]()  # paths of the temporary files that the current process is writing
+# Error numbers of file systems that cannot flush a file or change a file mode. A full disk has other error numbers.
 _UNSUPPORTED_ERRNOS = {errno.EPERM, errno.EINVAL, errno.ENOSYS, errno.ENOTSUP, errno.EOPNOTSUPP}
 
 
 @contextmanager
 def replace_file(path: Path) -> Iterator[Path]:
-    """Provide a temporary path in the same folder that replaces `path` when the block ends without an error.
+    """Yield a temporary path in the same folder, which replaces `path` when the ``with`` block ends without an error.
 
-    If the block raises, the temporary file is deleted and `path` keeps its content. A new file gets the mode that the
-    umask allows. A replaced file keeps its mode.
+    If the block raises an exception, the temporary file is deleted and the content of `path` is unchanged. The mode of
+    a new file is determined by the umask. The mode of a replaced file is unchanged.
 
     Parameters
     ----------
@@ -38,12 +38,12 @@ def replace_file(path: Path) -> Iterator[Path]:
     Yields
     ------
     Path
-        Temporary path with the suffix of `path`, to be written inside the block.
+        Temporary path with the suffix of `path`, to which the ``with`` block must write.
 
     Raises
     ------
     InputError
-        The disk is full, or the file cannot be written. The message names the file.
+        The disk is full, or the file cannot be written. The message contains the file path.
     """
     held: _TemporaryFile | None = None
     try:
@@ -53,7 +53,7 @@ def replace_file(path: Path) -> Iterator[Path]:
         yield Path(held.name)
         _flush(held.name)
         if held.mode is not None:
-            with suppress(OSError):  # CIFS and gvfs have no file modes.
+            with suppress(OSError):  # The file systems CIFS and gvfs do not support file modes.
                 os.chmod(held.name, held.mode)
         os.replace(held.name, path)
     except OSError as error:
@@ -67,8 +67,8 @@ def replace_file(path: Path) -> Iterator[Path]:
 
 
 def _flush(name: str) -> None:
-    """Flush a file to the disk; do nothing on file systems that do not support it, such as some network shares."""
-    with open(name, "r+b") as handle:  # Windows flushes only files that are open for writing.
+    """Flush a file to the disk, unless the file system does not support flushing, as on some network shares."""
+    with open(name, "r+b") as handle:  # Windows can flush only a file that is open for writing.
         try:
             os.fsync(handle.fileno())
         except OSError as error:
@@ -77,7 +77,7 @@ def _flush(name: str) -> None:
 
 
 def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file completely or not at all.
+    """Write a file atomically.
 
     Parameters
     ----------
@@ -89,21 +89,21 @@ def write_bytes(path: Path, content: bytes) -> None:
     Raises
     ------
     InputError
-        The disk is full, or the file cannot be written. The message names the file.
+        The disk is full, or the file cannot be written. The message contains the file path.
     """
     with replace_file(path) as temporary:
         temporary.write_bytes(content)
 
 
 def delete_own_temporary_files() -> None:
-    """Delete all temporary files of this process, before it ends early."""
+    """Delete all temporary files of the current process before the process is terminated."""
     for name in list(_own_temporary_files):
         with suppress(OSError):
             os.unlink(name)
 
 
 def find_temporary_files(path: Path) -> list[Path]:
-    """List the temporary files in a folder, including files of killed writers.
+    """List the temporary files in a folder, including those of killed processes.
 
     Parameters
     ----------
@@ -119,9 +119,9 @@ def find_temporary_files(path: Path) -> list[Path]:
 
 
 def delete_stale_temporary_files(path: Path) -> None:
-    """Delete the temporary files that killed writers left in a folder; keep the files of running writers.
+    """Delete the temporary files of killed processes from a folder. Files of running processes are not deleted.
 
-    On Windows the function deletes nothing.
+    On Windows, the function deletes no files.
 
     Parameters
     ----------
@@ -131,7 +131,8 @@ def delete_stale_temporary_files(path: Path) -> None:
     if sys.platform == "win32":
         return
     for left in find_temporary_files(path):
-        # A file is kept if it is locked, because its writer runs. It is also kept if the file system has no locks.
+        # A locked file belongs to a running process and is not deleted. No file is deleted on a file system without
+        # locks.
         with suppress(OSError):
             handle = os.open(left, os.O_RDWR)
             try:
@@ -152,12 +153,12 @@ def make_folder(path: Path) -> Path:
     Returns
     -------
     Path
-        The same path.
+        Path of the folder.
 
     Raises
     ------
     InputError
-        The folder cannot be created. The message names the folder.
+        The folder cannot be created. The message contains the folder path.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
@@ -168,19 +169,19 @@ def make_folder(path: Path) -> Path:
 
 @contextmanager
 def make_temporary_folder() -> Iterator[Path]:
-    """Provide an empty folder that is deleted, with its content, when the block ends.
+    """Yield an empty folder, which is deleted with its content when the ``with`` block ends.
 
     Yields
     ------
     Path
-        The temporary folder.
+        Path of the temporary folder.
     """
     with TemporaryDirectory() as name:
         yield Path(name)
 
 
 def make_write_error(path: Path, error: OSError) -> InputError:
-    """Make the InputError for a file or folder that cannot be written.
+    """Create the InputError for a file or folder that cannot be written.
 
     Parameters
     ----------
@@ -194,18 +195,18 @@ def make_write_error(path: Path, error: OSError) -> InputError:
     InputError
         Error with a one-line message, to be raised by the caller.
     """
-    # Errors of numpy give the number of bytes written and no reason, so a full disk is assumed.
-    # Errors of pydicom have a traceback after the first line, so only the first line is used.
+    # NumPy errors state the number of bytes written but no reason, so a full disk is assumed.
+    # pydicom errors contain a traceback after the first line, so only the first line is used.
     reason = error.strerror or f"not enough free space ({(str(error).splitlines() or [''])[0]})"
     return InputError(f"file {path} must be writable, got {reason}: use a writable folder with free space")
 
 
 @dataclass(frozen=True, kw_only=True)
 class _TemporaryFile:
-    """New temporary file that stays locked while its handle is open.
+    """New temporary file, which is locked as long as its handle is open.
 
-    `handle` is None on Windows, which cannot write to a file that is open elsewhere. `mode` is the mode of the file to
-    be replaced, or None if no file exists.
+    `handle` is None on Windows, because Windows cannot write to a file with another open handle. `mode` is the mode of
+    the file to be replaced, or None if no such file exists.
     """
 
     name: str
@@ -213,34 +214,35 @@ class _TemporaryFile:
     mode: int | None
 
     def close(self) -> None:
-        """Close the handle, which releases the lock."""
+        """Close the file handle and thereby release the lock."""
         if self.handle is not None:
             os.close(self.handle)
 
 
 def _create_temporary_file(path: Path) -> _TemporaryFile:
-    """Create a locked file in the folder of `path`; the lock shows other processes that its writer runs.
+    """Create a locked file in the folder of `path`.
 
-    The lock ends when the handle is closed or the process ends.
+    The lock indicates to other processes that the writing process is running. The lock is released when the handle is
+    closed or the process ends.
     """
     mode = None
     with suppress(FileNotFoundError):
         mode = stat.S_IMODE(path.stat().st_mode)
-    # A file that replaces another file is private until it gets the mode of the replaced file.
+    # The temporary file is private until it receives the mode of the file that it replaces.
     first_mode = 0o666 if mode is None else 0o600
     flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0) | getattr(os, "O_NOINHERIT", 0)
     while True:
-        # The stem is shortened, so that the name with its random part is not too long for the file system.
+        # The stem is shortened, because a name with a random suffix may be too long for the file system.
         name = str(path.with_name(f"{_PREFIX}{path.stem[:40]}-{secrets.token_hex(4)}{path.suffix}"))
         try:
             handle = os.open(name, flags, first_mode)
         except FileExistsError:
             continue
-        if sys.platform == "win32":  # Windows cannot write to a file that is open elsewhere.
+        if sys.platform == "win32":  # Windows cannot write to a file with another open handle.
             os.close(handle)
             return _TemporaryFile(name=name, handle=None, mode=mode)
         with suppress(OSError):
             fcntl.flock(handle, fcntl.LOCK_EX)
         if os.path.exists(name):
             return _TemporaryFile(name=name, handle=handle, mode=mode)
-        os.close(handle)  # Another process deleted the file between its creation and its lock.
+        os.close(handle)  # Another process deleted the file before the file was locked.

@@ -1,4 +1,4 @@
-"""Read and write the records of a cohort: its specification, one record per knee, and the manifest."""
+"""Reading and writing of cohort records: the specification, one record per knee, and the manifest."""
 
 import csv
 import hashlib
@@ -28,25 +28,27 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Row = dict[str, Any]
+# Remedy in the error messages for damaged or outdated files of a cohort.
+_RECREATE_HINT = "delete the file, and the next run creates it again"
 
 
 class ManifestEntry(msgspec.Struct, frozen=True, kw_only=True):
-    """Entries of a manifest row that identify a radiograph and its files; all other columns are ignored.
+    """Manifest columns that identify a radiograph and its files. All other columns of the manifest are ignored.
 
     Attributes
     ----------
     radiograph : str
         Name of the radiograph.
     knee : int
-        Number of the knee.
+        Knee number.
     file : str
-        Image file, relative to the folder of the cohort.
+        Path of the image file, relative to the cohort folder.
     sha256 : str
-        SHA-256 of the image file, in hexadecimal digits.
+        SHA-256 hash of the image file, in hexadecimal digits.
     masks : str or None
-        Mask file, relative to the folder of the cohort; None if no masks were saved.
+        Path of the mask file, relative to the cohort folder; None if no masks were saved.
     masks_sha256 : str
-        SHA-256 of the mask file; empty if no masks were saved.
+        SHA-256 hash of the mask file; empty if no masks were saved.
     """
 
     radiograph: str
@@ -58,21 +60,21 @@ class ManifestEntry(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def files(self) -> dict[str, str]:
-        """SHA-256 of each file, keyed by its path relative to the folder of the cohort."""
+        """SHA-256 hashes of the image and mask files, keyed by file path relative to the cohort folder."""
         return {self.file: self.sha256} | ({self.masks: self.masks_sha256} if self.masks else {})
 
 
 class KneeRecord(Record, frozen=True):
-    """Record of one knee: the manifest rows of its radiographs.
+    """Record of one knee, with the manifest rows of its radiographs.
 
     Attributes
     ----------
     rows : list of dict
-        One row per radiograph, keyed by column name.
+        One row for each radiograph, keyed by column name.
     cohort_sha256 : str
-        SHA-256 of the cohort.json for which the radiographs were made.
+        SHA-256 hash of the file cohort.json that specifies the radiographs.
     sha256 : str
-        SHA-256 of `rows` and `cohort_sha256`.
+        SHA-256 hash over `rows` and `cohort_sha256`.
     """
 
     rows: list[dict[str, str | int | float | bool | None]]
@@ -81,7 +83,7 @@ class KneeRecord(Record, frozen=True):
 
 
 class CohortFileProtocol(msgspec.Struct, frozen=True, kw_only=True):
-    """Entry of a protocol in cohort.json.
+    """Entry for a protocol in the file cohort.json.
 
     Attributes
     ----------
@@ -93,16 +95,16 @@ class CohortFileProtocol(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class CohortFileKnee(msgspec.Struct, frozen=True, kw_only=True):
-    """Entry of a knee in cohort.json.
+    """Entry for a knee in the file cohort.json.
 
     Attributes
     ----------
     subject : int
-        Number of the subject.
+        Subject number.
     index : int
-        Number of the knee.
+        Knee number.
     radiographs : tuple of str
-        Names of the radiographs of the knee, in order.
+        Names of the radiographs of the knee, in manifest order.
     """
 
     subject: int
@@ -111,7 +113,7 @@ class CohortFileKnee(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class CohortFile(Record, frozen=True):
-    """Content of cohort.json, the specification of a cohort; see `cohort.Plan.build_request`.
+    """Content of the file cohort.json, which specifies a cohort; see `cohort.Plan.build_request`.
 
     Attributes
     ----------
@@ -120,7 +122,7 @@ class CohortFile(Record, frozen=True):
     seed : int
         Seed of the cohort.
     masks : str
-        Format of the masks, "none" or "tif".
+        File format of the masks: "none" or "tif".
     protocols : tuple of CohortFileProtocol
         Protocols of the cohort.
     knees : tuple of CohortFileKnee
@@ -128,9 +130,9 @@ class CohortFile(Record, frozen=True):
     engine : str
         Ray caster, "embree" or "scanline".
     versions : dict of str to str
-        Version of each library, keyed by its name.
+        Library versions, keyed by library name.
     code : dict of str to str
-        Hash of the code of each subpackage or module, keyed by its path.
+        Code hashes of subpackages and modules, keyed by path.
     """
 
     preset: str
@@ -144,7 +146,7 @@ class CohortFile(Record, frozen=True):
 
 
 def hash_file(path: Path) -> str:
-    """Compute the SHA-256 of a file.
+    """Compute the SHA-256 hash of a file.
 
     Parameters
     ----------
@@ -154,7 +156,7 @@ def hash_file(path: Path) -> str:
     Returns
     -------
     str
-        SHA-256 in hexadecimal digits.
+        SHA-256 hash in hexadecimal digits.
 
     Raises
     ------
@@ -166,25 +168,25 @@ def hash_file(path: Path) -> str:
 
 
 def claim_folder(path: Path, cohort_content: dict[str, Any]) -> str:
-    """Write the specification of a cohort into its folder, or check that an existing specification is the same.
+    """Write the specification of a cohort to its folder, or check that an existing specification is identical.
 
     Parameters
     ----------
     path : Path
-        The cohort.json of the folder.
+        Path of the file cohort.json in the cohort folder.
     cohort_content : dict
-        JSON-ready specification. Its optional entry `code` has the hashes of the code that makes the cohort.
+        JSON-ready specification. The optional entry `code` contains the hashes of the code that simulates the cohort.
 
     Returns
     -------
     str
-        SHA-256 of cohort.json.
+        SHA-256 hash of cohort.json.
 
     Raises
     ------
     InputError
-        The folder has another cohort, or a cohort made by other code. The message names the first entry that differs,
-        or every part of the code that differs.
+        The folder contains a different cohort, or a cohort that a different version of the code simulated. The message
+        contains the first entry that differs, or all subpackages and modules that differ.
     """
     if not os.path.exists(path):
         write_json(path, cohort_content)
@@ -194,55 +196,54 @@ def claim_folder(path: Path, cohort_content: dict[str, Any]) -> str:
     if was != wanted:
         place, old, new = _find_difference(was, wanted)
         what = f"{place} = {old!r}, requested {new!r}"
-        raise InputError(f"folder {path.parent} must be new or have the requested cohort, got {what}: use a new folder")
+        raise InputError(f"folder {path.parent} contains a different cohort ({what}); use a new folder")
     parts = format_differing_parts(claimed.get("code", {}), cohort_content.get("code", {}))
     if parts:
-        what = f"a cohort made by other code ({parts})"
         raise InputError(
-            f"folder {path.parent} must have a cohort made by this code, got {what}: use that code, or a new folder"
+            f"folder {path.parent} contains a cohort from a different version of the code, with differences in "
+            f"{parts}; use the earlier version, or a new folder"
         )
     return hash_file(path)
 
 
 def require_claimed_folder(path: Path, cohort_sha256: str) -> None:
-    """Require that a worker on another machine accesses the folder of the cohort that it works on.
+    """Require that a worker on another machine accesses the correct cohort folder.
 
     Parameters
     ----------
     path : Path
-        The cohort.json of the folder.
+        Path of the file cohort.json in the cohort folder.
     cohort_sha256 : str
-        SHA-256 that `claim_folder` returned.
+        SHA-256 hash that `claim_folder` returned.
 
     Raises
     ------
     InputError
-        The file is missing on the machine of the worker, or belongs to another cohort. The message names the machine.
+        The file is missing on the machine of the worker or belongs to another cohort. The message contains the machine
+        name.
     """
-    allowed = "all workers must share the folder under the same path"
+    allowed = "all workers must access the same folder under the same path"
     try:
         here = hash_file(path)
     except InputError as error:
         raise InputError(f"on {node()}: {str(error).split(';')[0]}; {allowed}") from None
     if here != cohort_sha256:
-        raise InputError(
-            f"on {node()}: folder {path.parent} must have the cohort of this run, got another cohort: {allowed}"
-        )
+        raise InputError(f"on {node()}: folder {path.parent} contains a different cohort; {allowed}")
 
 
 def write_knee_record(folder: Path, knee: int, rows: list[Row], cohort_sha256: str) -> None:
-    """Write the record of one knee and a hash of the record, after the images of the knee were written.
+    """Write the record of one knee with a hash of the record, after all images of the knee have been written.
 
     Parameters
     ----------
     folder : Path
-        Folder of the cohort.
+        Cohort folder.
     knee : int
-        Number of the knee.
+        Knee number.
     rows : list of dict
         Manifest rows of the radiographs of the knee.
     cohort_sha256 : str
-        SHA-256 of the cohort.json for which the radiographs were made.
+        SHA-256 hash of the file cohort.json that specifies the radiographs.
 
     Raises
     ------
@@ -256,28 +257,29 @@ def write_knee_record(folder: Path, knee: int, rows: list[Row], cohort_sha256: s
 
 
 def read_verified_rows(folder: Path, knee: int, names: list[str], cohort_sha256: str) -> list[Row] | None:
-    """Read the record of one knee and check its images against their hashes.
+    """Read the record of one knee and verify the image files with the recorded hashes.
 
     Parameters
     ----------
     folder : Path
-        Folder of the cohort.
+        Cohort folder.
     knee : int
-        Number of the knee.
+        Knee number.
     names : list of str
-        Names that the radiographs of the knee must have, in order.
+        Expected names of the radiographs of the knee, in order.
     cohort_sha256 : str
-        SHA-256 of the cohort.json to which the record must belong.
+        Expected SHA-256 hash of the file cohort.json to which the record belongs.
 
     Returns
     -------
     list of dict or None
-        Manifest rows; None if the record or one of its images does not exist yet.
+        Manifest rows; None if the record or one of its image files does not exist yet.
 
     Raises
     ------
     InputError
-        A record or an image is damaged, or the record belongs to another cohort or knee. The message names the file.
+        The record or an image file is damaged, or the record belongs to another cohort or knee. The message contains
+        the file path.
     """
     path = record_path(folder, knee)
     if not path.exists():
@@ -286,13 +288,12 @@ def read_verified_rows(folder: Path, knee: int, names: list[str], cohort_sha256:
     rows = record.rows
     if record.cohort_sha256 != cohort_sha256:
         raise InputError(
-            f"file {path} must belong to a cohort.json with sha256 {cohort_sha256[:12]}..., got "
-            f"{record.cohort_sha256[:12]}...: delete it and it is made again"
+            f"file {path} belongs to another cohort (cohort.json with sha256 {record.cohort_sha256[:12]}..., expected "
+            f"{cohort_sha256[:12]}...); {_RECREATE_HINT}"
         )
     if [row["radiograph"] for row in rows] != names:
         raise InputError(
-            f"file {path} must have the radiographs of knee {knee}, {', '.join(names)}, got others: "
-            "delete it and it is made again"
+            f"file {path} does not list the radiographs of knee {knee}, which are {', '.join(names)}; {_RECREATE_HINT}"
         )
     named = [require_manifest_entry(row, path) for row in rows]
     expected = {folder / file: digest for one in named for file, digest in one.files.items()}
@@ -302,17 +303,17 @@ def read_verified_rows(folder: Path, knee: int, names: list[str], cohort_sha256:
         now = hash_file(file)
         if now != digest:
             change = f"sha256 {now[:12]}..., recorded {digest[:12]}..."
-            raise InputError(f"file {file} is damaged ({change}); delete it and it is made again")
+            raise InputError(f"file {file} is damaged ({change}); {_RECREATE_HINT}")
     return rows
 
 
 def read_knee_record(path: Path) -> KneeRecord:
-    """Read the record of one knee and check it against the hash in the record.
+    """Read the record of one knee and verify the record with its hash.
 
     Parameters
     ----------
     path : Path
-        File of the record.
+        Path of the record file.
 
     Returns
     -------
@@ -326,14 +327,14 @@ def read_knee_record(path: Path) -> KneeRecord:
     """
     record: KneeRecord = read_json(path, KneeRecord)
     if record.sha256 != _hash_rows(record.rows, record.cohort_sha256):
-        raise InputError(f"file {path} is damaged (wrong hash); delete it and it is made again")
+        raise InputError(f"file {path} is damaged (wrong hash); {_RECREATE_HINT}")
     for row in record.rows:
         require_manifest_entry(row, path)
     return record
 
 
 def require_manifest_entry(row: Row, path: Path) -> ManifestEntry:
-    """Read the columns of a manifest row that identify a radiograph and its files.
+    """Extract and validate the columns of a manifest row that identify a radiograph and its files.
 
     Parameters
     ----------
@@ -345,21 +346,21 @@ def require_manifest_entry(row: Row, path: Path) -> ManifestEntry:
     Returns
     -------
     ManifestEntry
-        Verified entry.
+        Validated manifest entry.
 
     Raises
     ------
     InputError
-        A column is missing or has a wrong type, or a file is outside the folder of the cohort.
+        A column is missing or has the wrong type, or a file is outside the cohort folder.
     """
     try:
         return msgspec.convert(row, ManifestEntry, strict=False)
     except msgspec.ValidationError as error:
-        raise InputError(f"file {path} is damaged ({error}); delete it and it is made again") from None
+        raise InputError(f"file {path} is damaged ({error}); {_RECREATE_HINT}") from None
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write a value as JSON.
+    """Write a value to a JSON file.
 
     Parameters
     ----------
@@ -377,7 +378,7 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def write_csv(path: Path, rows: list[Row]) -> None:
-    """Write rows as CSV with a header.
+    """Write table rows to a CSV file with a header.
 
     Parameters
     ----------
@@ -395,7 +396,7 @@ def write_csv(path: Path, rows: list[Row]) -> None:
 
 
 def encode_csv(rows: list[Row]) -> bytes:
-    """Encode rows as CSV with a header.
+    """Encode table rows as CSV with a header.
 
     Parameters
     ----------
@@ -405,7 +406,7 @@ def encode_csv(rows: list[Row]) -> bytes:
     Returns
     -------
     bytes
-        CSV in UTF-8. A cell is empty if its row lacks the column.
+        CSV text in UTF-8. A cell is empty if the row has no value for the column.
     """
     text = io.StringIO()
     names = dict.fromkeys(name for row in rows for name in row)
@@ -416,36 +417,37 @@ def encode_csv(rows: list[Row]) -> bytes:
 
 
 def read_csv(path: Path, required: tuple[str, ...]) -> list[Row]:
-    """Read the rows of a CSV file that must have certain columns.
+    """Read the rows of a CSV file and check that required columns are present.
 
     Parameters
     ----------
     path : Path
         File to read.
     required : tuple of str
-        Columns that every row must have.
+        Names of the columns that every row must contain.
 
     Returns
     -------
     list of dict
-        Rows, keyed by column name; all values are text.
+        Rows, keyed by column name. All values are strings.
 
     Raises
     ------
     InputError
-        The file cannot be read, repeats a column, or lacks a required column.
+        The file cannot be read, a column name is repeated, or a required column is missing.
     """
     rows: list[Row] = list(read_csv_rows(path)[1])
     for name in required:
         if not rows or any(row.get(name) is None for row in rows):
             raise InputError(
-                f"file {path}: every row must have the columns {', '.join(required)}, got none, or a row without {name}"
+                f"file {path}: every row must have the columns {', '.join(required)}, got no row, or a row without "
+                f"{name}"
             )
     return rows
 
 
 def has_content(path: Path, content: bytes) -> bool:
-    """Return whether a file has the given content.
+    """Report whether the content of a file equals the expected content.
 
     Parameters
     ----------
@@ -457,7 +459,7 @@ def has_content(path: Path, content: bytes) -> bool:
     Returns
     -------
     bool
-        True if file and expected content have the same SHA-256.
+        True if the file and the expected content have the same SHA-256 hash.
 
     Raises
     ------
@@ -468,30 +470,30 @@ def has_content(path: Path, content: bytes) -> bool:
 
 
 def _hash_rows(rows: list[Row], cohort_sha256: str) -> str:
-    """Compute one SHA-256 over the rows of a record and the hash of its cohort.json."""
+    """Compute the SHA-256 hash over the rows of a knee record and the hash of the cohort.json."""
     return hashlib.sha256(json.dumps([cohort_sha256, rows], sort_keys=True).encode()).hexdigest()
 
 
 def record_path(folder: Path, knee: int) -> Path:
-    """Return the path of the record of one knee.
+    """Return the path of the record file of one knee.
 
     Parameters
     ----------
     folder : Path
-        Folder of the cohort.
+        Cohort folder.
     knee : int
-        Number of the knee.
+        Knee number.
 
     Returns
     -------
     Path
-        File of the record.
+        Path of the record file.
     """
     return folder / "records" / f"k{knee:04d}.json"
 
 
 def _find_difference(old: Any, new: Any, place: str = "") -> tuple[str, Any, Any]:
-    """Return the path of the first entry in which two JSON values differ, and both entries."""
+    """Return the path of the first difference between two JSON values, with the old and the new entry."""
     if isinstance(old, dict) and isinstance(new, dict):
         for name in [*new, *(n for n in old if n not in new)]:
             if old.get(name) != new.get(name):
@@ -506,28 +508,29 @@ def _find_difference(old: Any, new: Any, place: str = "") -> tuple[str, Any, Any
 
 
 def read_manifest(path: Path) -> "pd.DataFrame":
-    """Read the manifest of a cohort as a data frame; this needs pandas (`study` extra).
+    """Read the manifest of a cohort as a data frame. The function requires pandas (`study` extra).
 
     Parameters
     ----------
     path : Path
-        The manifest.csv of a cohort.
+        Path of the file manifest.csv of a cohort.
 
     Returns
     -------
     pandas.DataFrame
-        One row per radiograph.
+        Manifest with one row per radiograph.
 
     Raises
     ------
     InputError
-        The file cannot be read, is not a table, or repeats a column.
+        The file cannot be read or is not a table, or a column name is repeated.
     """
     import pandas as pd
 
     allowed = "manifest.csv of a cohort"
     text = read_text(path)
-    require_unique_columns(path, parse_csv_header(text))  # pandas would rename a repeated column.
+    require_unique_columns(path, parse_csv_header(text))  # pandas would silently rename a repeated column.
     table: pd.DataFrame = parse_text(path, io.StringIO(text), pd.read_csv, fault="not a manifest", allowed=allowed)
-    # pandas stores the columns separately, and warns if a column is added to more than a hundred. A copy joins them.
+    # pandas stores the columns separately, and warns when a column is added to more than 100 columns. A copy merges
+    # the columns and prevents the warning.
     return table.copy()

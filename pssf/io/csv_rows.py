@@ -1,4 +1,4 @@
-"""Read CSV files of a user as text; every column name must be unique."""
+"""Reading of CSV files from users, with values as strings and unique column names."""
 
 import csv
 import io
@@ -8,11 +8,11 @@ from pathlib import Path
 from ..core.checks import InputError
 from ..data.user_files import read_text
 
-_ALLOWED = "a CSV table in UTF-8 with one header line"
+_ALLOWED = "a CSV table in UTF-8 with a header line"
 
 
 def read_csv_rows(path: Path) -> tuple[list[str], list[dict[str, str]]]:
-    """Read a CSV file as text.
+    """Read a CSV file with all values as strings.
 
     Parameters
     ----------
@@ -24,32 +24,33 @@ def read_csv_rows(path: Path) -> tuple[list[str], list[dict[str, str]]]:
     columns : list of str
         Column names in the order of the header; empty for an empty file.
     rows : list of dict of str to str
-        One row per line that is not empty, keyed by column name. A short line has no entries for the missing columns.
+        One row for each line that is not empty, keyed by column name. A row contains no entries for missing cells.
 
     Raises
     ------
     InputError
-        The file cannot be read, repeats a column, or has a line with more cells than the header.
+        The file cannot be read, a column name is repeated, or a line has more cells than the header.
     """
     try:
         header, *lines = list(csv.reader(io.StringIO(read_text(path, allowed=_ALLOWED), newline=""))) or [[]]
     except csv.Error as error:
-        raise InputError(f"file {path} must be {_ALLOWED}, got a table that cannot be read ({error})") from None
+        raise InputError(f"file {path} must be {_ALLOWED}, got an unreadable table ({error})") from None
     require_unique_columns(path, header)
     rows = []
     for number, cells in enumerate(lines, start=2):
-        if not cells:  # The line is empty.
+        if not cells:  # Empty lines are skipped.
             continue
         if len(cells) > len(header):
             raise InputError(
-                f"file {path}, line {number}: cells must be at most {len(header)}, as in the header, got {len(cells)}"
+                f"file {path}, line {number}: number of cells must be at most {len(header)}, as in the header, "
+                f"got {len(cells)}"
             )
         rows.append(dict(zip(header, cells, strict=False)))
     return header, rows
 
 
 def parse_csv_header(text: str) -> list[str]:
-    """Read the column names of a CSV text.
+    """Extract the column names from the content of a CSV file.
 
     Parameters
     ----------
@@ -59,15 +60,15 @@ def parse_csv_header(text: str) -> list[str]:
     Returns
     -------
     list of str
-        Column names in their order; empty for an empty text.
+        Column names in the order of the header; empty for an empty file.
     """
     return next(csv.reader(io.StringIO(text, newline="")), [])
 
 
 def require_unique_columns(path: Path, columns: Sequence[str]) -> None:
-    """Require that every column name of a header is unique.
+    """Require that all column names of a CSV file are unique.
 
-    A reader would silently lose one of two columns that have the same name.
+    If two columns had the same name, one column would be lost without a warning.
 
     Parameters
     ----------
@@ -79,9 +80,9 @@ def require_unique_columns(path: Path, columns: Sequence[str]) -> None:
     Raises
     ------
     InputError
-        A name is in `columns` more than once.
+        A column name occurs more than once.
     """
     for name in columns:
         count = list(columns).count(name)
         if count > 1:
-            raise InputError(f"file {path}: column {name!r} must be given once, got it {count} times")
+            raise InputError(f"file {path}: column name {name!r} must be unique, got {count} columns with this name")

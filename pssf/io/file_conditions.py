@@ -1,4 +1,4 @@
-"""Check conditions on result files: the files of a folder must contain required entries and values."""
+"""Conditions on the content of result files, such as required entries and value ranges."""
 
 import json
 import math
@@ -12,14 +12,14 @@ from .csv_rows import read_csv_rows
 
 
 def find_unmet_condition(folder: Path, conditions: str) -> str:
-    """Return the first condition that the files of a folder do not meet.
+    """Return the first condition that the files in a folder do not meet.
 
     Parameters
     ----------
     folder : Path
-        Folder of the files.
+        Folder that contains the files.
     conditions : str
-        Conditions, separated by a semicolon and a space; see Notes.
+        Conditions in the format described in Notes, separated by a semicolon and a space.
 
     Returns
     -------
@@ -28,20 +28,20 @@ def find_unmet_condition(folder: Path, conditions: str) -> str:
 
     Notes
     -----
-    A condition has one of these forms::
+    A condition has one of the following forms::
 
-        FILE                   the file exists and is not empty; a pattern such as models/*.skops needs one match
+        FILE                   the file exists and is not empty; a pattern such as models/*.skops requires one match
         FILE.html WORDS        the text of the page contains the words
         FILE.json KEY.KEY      the entry is neither null nor empty
         FILE.json KEY < X      the entry is a number below X
         FILE.csv COLUMN        at least one row has a value that is neither empty nor NaN
         FILE.csv COLUMN = X    at least one row has the value X
-        FILE.csv A+B unique    every row has values, and no combination of them is repeated
+        FILE.csv A+B unique    every row has values in columns A and B, and no combination of values is repeated
         FILE.csv COLUMN every  every row has a value
         FILE.csv COLUMN >= X   every row has a number of at least X
         FILE.csv COLUMN < X    every row has a number below X, where X is a number or another column of the same row
 
-    The suffix "but for COLUMN = X" exempts the rows with the value X. An unreadable file meets no condition.
+    The suffix "but for COLUMN = X" excludes the rows with the value X. An unreadable file meets no condition.
     """
     for condition in conditions.split("; "):
         file, _, asked = condition.partition(" ")
@@ -54,7 +54,7 @@ def find_unmet_condition(folder: Path, conditions: str) -> str:
 
 
 def _meets_condition(path: Path, condition: str) -> bool:
-    """Return whether one file meets one condition, given without its file name."""
+    """Report whether a file meets a condition, which is specified without the file name."""
     if path.is_dir() or not path.stat().st_size:
         return False
     if not condition:
@@ -69,21 +69,21 @@ def _meets_condition(path: Path, condition: str) -> bool:
 
 
 def _find_entry(value: Any, keys: list[str]) -> Any:
-    """Return the entry of nested dictionaries at a path of keys; None if a key is missing."""
+    """Return the entry of nested dictionaries at a sequence of keys, or None if a key is missing."""
     for key in keys:
         value = value.get(key) if isinstance(value, dict) else None
     return value
 
 
 def _has_value(value: Any) -> bool:
-    """Return whether a value has content; None, NaN, and an empty text, list or dict have none."""
+    """Report whether a value is neither None nor NaN nor an empty string, list or dict."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return False
     return not (isinstance(value, str | list | dict) and len(value) == 0)
 
 
 def _table_meets_condition(rows: list[dict[str, Any]], condition: str) -> bool:
-    """Return whether the rows of a CSV file meet one condition, given without its file name."""
+    """Report whether the rows of a CSV file meet a condition, which is specified without the file name."""
     condition, _, spared = condition.partition(" but for ")
     if spared:
         name, _, value = spared.partition(" = ")
@@ -108,5 +108,5 @@ def _table_meets_condition(rows: list[dict[str, Any]], condition: str) -> bool:
 
 
 def _is_filled(row: dict[str, Any], columns: list[str]) -> bool:
-    """Return whether a row has a value, neither empty nor NaN, in all of the columns."""
+    """Report whether all specified columns of a row have a value that is neither empty nor NaN."""
     return all((row.get(name) or "").strip().lower() not in ("", "nan") for name in columns)

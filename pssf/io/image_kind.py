@@ -1,22 +1,23 @@
-"""Recognise image files by suffix or first bytes, and skip hidden files and lock files."""
+"""Identification of image files by suffix or first bytes, without hidden files and lock files."""
 
 from pathlib import Path
 
 PICTURE_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
-# Suffixes that archives and viewers give to DICOM files. DICOM files without them are recognised by their first bytes.
+# Usual suffixes of DICOM files. DICOM files with other suffixes are identified by their first bytes.
 DICOM_SUFFIXES = (".dcm", ".dicom", ".dic", ".dc3", ".ima")
 SUFFIXES = (*PICTURE_SUFFIXES, *DICOM_SUFFIXES)
-# Hidden files, resource forks (._x), folders that macOS adds to archives, and locks of office programs (~$x).
+# Name prefixes of hidden files and resource forks (._x), of folders that macOS adds to archives, and of lock files of
+# office programs (~$x).
 _HIDDEN_PREFIXES = (".", "__MACOSX", "~$")
 # Name of the index file of a DICOM medium, which is a DICOM file without an image.
 _DICOM_INDEX_NAME = "DICOMDIR"
-# DICOM PS3.10, 7.1: a preamble of 128 bytes is followed by these four characters.
+# Four characters that follow the preamble of a DICOM file (DICOM PS3.10, 7.1).
 _MAGIC = b"DICM"
-_PREAMBLE = 128  # length of the preamble, in bytes
+_PREAMBLE = 128  # length of the preamble of a DICOM file, in bytes (DICOM PS3.10, 7.1)
 
 
 def is_dicom(path: Path) -> bool:
-    """Return whether a file is DICOM, by its suffix, or by its first bytes if its suffix is unknown.
+    """Report whether a file is a DICOM file, by its suffix, or by its first bytes if the suffix is unknown.
 
     Parameters
     ----------
@@ -26,7 +27,7 @@ def is_dicom(path: Path) -> bool:
     Returns
     -------
     bool
-        True for DICOM. False for DICOMDIR, the index file of a DICOM medium.
+        True for a DICOM file, but False for DICOMDIR, the index file of a DICOM medium.
 
     Raises
     ------
@@ -43,7 +44,7 @@ def is_dicom(path: Path) -> bool:
 
 
 def is_image(path: Path) -> bool:
-    """Return whether a file is an image, by its suffix or as DICOM by its first bytes.
+    """Report whether a file is an image, by its suffix, or by its first bytes in the case of DICOM.
 
     Parameters
     ----------
@@ -53,7 +54,7 @@ def is_image(path: Path) -> bool:
     Returns
     -------
     bool
-        True for PNG, JPEG, TIFF and DICOM.
+        True for PNG, JPEG, TIFF and DICOM files.
 
     Raises
     ------
@@ -64,7 +65,7 @@ def is_image(path: Path) -> bool:
 
 
 def list_files(folder: Path) -> list[Path]:
-    """List the files of a folder, without hidden files, resource forks and lock files.
+    """List the files in a folder, except for hidden files, resource forks and lock files.
 
     Parameters
     ----------
@@ -74,22 +75,22 @@ def list_files(folder: Path) -> list[Path]:
     Returns
     -------
     list of Path
-        Files sorted by name; empty if the folder does not exist.
+        Files, sorted by name; empty if the folder does not exist.
     """
     return sorted(path for path in folder.glob("*") if is_visible(path) and path.is_file())
 
 
 def is_visible(path: Path) -> bool:
-    """Return whether a file or folder is neither hidden nor a resource fork nor a lock file.
+    """Report whether a file or folder is neither hidden nor a resource fork nor a lock file.
 
     Parameters
     ----------
     path : Path
-        File or folder, of which only the name is used.
+        Path of the file or folder. Only the name is used.
 
     Returns
     -------
     bool
-        True for files and folders that a user created.
+        False for a hidden file or folder, a resource fork or a lock file.
     """
     return not path.name.startswith(_HIDDEN_PREFIXES)

@@ -1,4 +1,4 @@
-"""Write landmarks in standard formats, as .pts files and as COCO keypoints, and read .pts files."""
+"""Landmarks in standard formats: writing of .pts files and COCO keypoints, and reading of .pts files."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,12 +14,12 @@ Landmarks = Mapping[str, tuple[float, float]]
 
 @dataclass(frozen=True, kw_only=True)
 class LabelledImage:
-    """Image file with its landmarks and further labels.
+    """Image file with landmarks and additional labels.
 
     Attributes
     ----------
     file : str
-        File name, relative to the image folder.
+        Path of the image file, relative to the image folder.
     rows : int
         Height of the image, in pixels.
     cols : int
@@ -27,7 +27,7 @@ class LabelledImage:
     landmarks_px : dict of str to (row, column) tuple
         Landmark positions in pixels, keyed by landmark name.
     attributes : dict of str to float or None
-        Further labels, such as the KL grade, keyed by name. Entries that are None are not written.
+        Additional labels, such as the KL grade, keyed by name. Labels with the value None are not written.
     """
 
     file: str
@@ -38,21 +38,21 @@ class LabelledImage:
 
 
 def write_pts(path: Path, landmarks_px: Landmarks) -> Path:
-    """Write landmarks as a .pts file, the format of the ISBI and BoneFinder annotations.
+    """Write landmarks to a .pts file, which is the format of the ISBI and BoneFinder annotations.
 
-    Each line has x and y of one landmark in pixels, with row 0 at the top of the image.
+    Each line contains the coordinates x and y of one landmark in pixels. Row 0 is at the top of the image.
 
     Parameters
     ----------
     path : Path
         File to write.
     landmarks_px : dict of str to (row, column) tuple
-        Landmark positions in pixels, keyed by landmark name and written in the order of the dict.
+        Landmark positions in pixels, keyed by landmark name. The landmarks are written in the order of the dict.
 
     Returns
     -------
     Path
-        The file that was written.
+        Path of the written file.
 
     Raises
     ------
@@ -66,14 +66,14 @@ def write_pts(path: Path, landmarks_px: Landmarks) -> Path:
 
 
 def read_pts(path: Path, names: Sequence[str]) -> dict[str, tuple[float, float]]:
-    """Read the landmarks of a .pts file.
+    """Read landmarks from a .pts file.
 
     Parameters
     ----------
     path : Path
         File to read.
     names : sequence of str
-        Names of the landmarks, in the order of the file.
+        Landmark names, in the order of the landmarks in the file.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def read_pts(path: Path, names: Sequence[str]) -> dict[str, tuple[float, float]]
     Raises
     ------
     InputError
-        The file cannot be read, is not a .pts file, or has another number of landmarks than `names`.
+        The file cannot be read or is not a .pts file, or the number of landmarks differs from the number of names.
     """
     try:
         lines = path.read_text(encoding="utf-8").split("{", 1)[1].split("}", 1)[0].split("\n")
@@ -91,31 +91,32 @@ def read_pts(path: Path, names: Sequence[str]) -> dict[str, tuple[float, float]]
     except (OSError, UnicodeDecodeError, IndexError, ValueError) as error:
         raise InputError(f"file {path} must be a .pts file of landmarks, got other content ({error})") from None
     if len(places) != len(names) or any(len(place) != 2 for place in places):
-        raise InputError(f"file {path}: landmarks must be {len(names)}, each with x and y, got {len(places)}")
+        raise InputError(f"file {path}: number of landmarks must be {len(names)}, each with x and y, got {len(places)}")
     return {name: (row, col) for name, (col, row) in zip(names, places, strict=True)}
 
 
 def write_coco(path: Path, images: Sequence[LabelledImage]) -> Path:
-    """Write the landmarks of all images as COCO keypoints (Lin et al. 2014).
+    """Write the landmarks of several images as COCO keypoints (Lin et al. 2014).
 
-    Every image has one annotation, in which all landmarks are visible.
+    Each image has one annotation, in which all landmarks are marked as visible.
 
     Parameters
     ----------
     path : Path
         JSON file to write.
     images : sequence of LabelledImage
-        Images with the same landmarks in the same order.
+        Images whose landmarks have the same names in the same order.
 
     Returns
     -------
     Path
-        The file that was written.
+        Path of the written file.
 
     Raises
     ------
     InputError
-        An image has other landmarks than the first, the disk is full, or the file cannot be written.
+        The landmark names of an image differ from those of the first image, the disk is full, or the file cannot be
+        written.
     """
     names = list(images[0].landmarks_px) if images else []
     annotations = []
@@ -148,10 +149,10 @@ def _make_annotation(
     box: tuple[float, float, float, float],
     attributes: Mapping[str, float | None],
 ) -> dict[str, Any]:
-    """Make the COCO annotation of one image.
+    """Create the COCO annotation of one image.
 
-    `points` are (x, y) in pixels; `box` is left, top, width and height in pixels. The
-    COCO visibility flag 2 marks a landmark as labelled and visible.
+    `points` are the landmark positions (x, y) in pixels. `box` contains left, top, width and height in pixels. The COCO
+    visibility flag 2 marks a landmark as labelled and visible.
     """
     flat = [value for x, y in points for value in (round(x, 4), round(y, 4), 2)]
     annotation: dict[str, Any] = {"id": number, "image_id": number, "category_id": 1, "iscrowd": 0}
@@ -162,10 +163,10 @@ def _make_annotation(
 
 
 def _make_skeleton(names: Sequence[str]) -> list[list[int]]:
-    """List the pairs of neighbouring landmarks along each bone contour; COCO counts landmarks from 1."""
+    """List the pairs of adjacent landmarks along each bone contour, with COCO landmark numbers, which start at 1."""
     return [[k, k + 1] for k in range(1, len(names)) if _is_femoral(names[k - 1]) == _is_femoral(names[k])]
 
 
 def _is_femoral(name: str) -> bool:
-    """Return whether a landmark is on the femur."""
+    """Report whether a landmark is on the femur."""
     return "femur" in name or "notch" in name

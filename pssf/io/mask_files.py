@@ -1,4 +1,4 @@
-"""Read and write masks: a TIFF with one page per mask, or a DICOM Segmentation with one segment per mask."""
+"""Mask files: TIFF with one page per mask, or DICOM Segmentation with one segment per mask."""
 
 import json
 import re
@@ -22,20 +22,20 @@ from .metadata import (
 from .radiograph_files import convert_read_errors, require_radiograph, require_suffix
 
 SUFFIXES = (".tif", ".tiff", ".dcm")
-_PAGE_NAME_TAG = 285  # TIFF 6.0: PageName
+_PAGE_NAME_TAG = 285  # number of the TIFF tag PageName, which contains the mask name (TIFF 6.0)
 
 
 def save_masks(radiograph: Radiograph, path: str | Path) -> Path:
-    """Write the masks of a radiograph as TIFF or DICOM Segmentation, by the suffix of the path.
+    """Write the masks of a radiograph as TIFF or DICOM Segmentation, depending on the file suffix.
 
     Both formats are lossless, and masks may overlap. A TIFF has one compressed page per mask, with the mask name and
-    the values 0 and 255. A Segmentation has one bit per pixel. Its UIDs refer to the For Processing DICOM that `save`
+    the values 0 and 255. A Segmentation has one bit per pixel, and refers to the DICOM For Processing image that `save`
     writes for the same radiograph.
 
     Parameters
     ----------
     radiograph : Radiograph
-        Radiograph simulated from one or two knees with ``keep=("masks",)``. The mask names of two knees begin with
+        Radiograph simulated from one or two knees with ``keep=("masks",)``. For two knees, the mask names begin with
         the side, such as right_femur and left_femur.
     path : str or Path
         File to write, with suffix .tif, .tiff or .dcm.
@@ -43,13 +43,13 @@ def save_masks(radiograph: Radiograph, path: str | Path) -> Path:
     Returns
     -------
     Path
-        The file that was written.
+        Path of the written file.
 
     Raises
     ------
     InputError
-        The suffix is not supported, or the radiograph has no masks. A mask has another size than the radiograph, or a
-        name that is not allowed. The disk is full, or the file cannot be written.
+        The suffix is not supported, the radiograph has no masks, or the size of a mask differs from the radiograph. A
+        mask name is not allowed, the disk is full, or the file cannot be written.
 
     See Also
     --------
@@ -74,7 +74,7 @@ def save_masks(radiograph: Radiograph, path: str | Path) -> Path:
     require_radiograph(radiograph)
     masks = _collect_masks(radiograph)
     if not masks:
-        raise InputError("radiograph must have masks, got masks = none: simulate a Knee with keep=('masks',)")
+        raise InputError("radiograph must have masks, got masks = none: simulate the knee with keep=('masks',)")
     for name, mask in masks.items():
         if not re.fullmatch(r"[\w-]{1,64}", name, re.ASCII):
             raise InputError(f"mask name must be 1 to 64 letters, digits, _ and -, got {name!r}")
@@ -82,7 +82,7 @@ def save_masks(radiograph: Radiograph, path: str | Path) -> Path:
             raise InputError(f"mask {name}: shape must be {radiograph.pixels.shape}, got {np.shape(mask)}")
     with replace_file(path) as temporary:
         if suffix == ".dcm":
-            from .dicom import dicom_segmentation  # pydicom is only imported for DICOM files.
+            from .dicom import dicom_segmentation  # pydicom is imported only for DICOM files.
 
             dicom_segmentation.write_segmentation(radiograph, encode_metadata(radiograph), masks, temporary)
         else:
@@ -91,7 +91,7 @@ def save_masks(radiograph: Radiograph, path: str | Path) -> Path:
 
 
 def load_masks(path: str | Path) -> dict[str, NDArray[np.bool_]]:
-    """Read the masks of a file that `save_masks` wrote.
+    """Read masks from a file that `save_masks` wrote.
 
     Parameters
     ----------
@@ -106,12 +106,13 @@ def load_masks(path: str | Path) -> dict[str, NDArray[np.bool_]]:
     Raises
     ------
     InputError
-        The suffix is not supported, or the file is missing, damaged, altered, or was not written by this package.
+        The suffix is not supported, or the file is missing, damaged, altered, or not written by PSSF.
 
     Warns
     -----
     UnverifiedNotice
-        The file has no hash: an earlier version wrote the TIFF, or an archive gave the DICOM other UIDs.
+        An earlier version wrote the TIFF without a hash, or an archive has replaced the UIDs that would verify a DICOM
+        file.
 
     See Also
     --------
@@ -133,7 +134,7 @@ def load_masks(path: str | Path) -> dict[str, NDArray[np.bool_]]:
     """
     path = require_path(path)
     suffix = require_suffix(path, SUFFIXES)
-    with convert_read_errors(path, "masks by pssf"):
+    with convert_read_errors(path, "a mask file written by pssf"):
         if suffix == ".dcm":
             from .dicom import dicom_segmentation
 
@@ -150,7 +151,7 @@ def load_masks(path: str | Path) -> dict[str, NDArray[np.bool_]]:
 
 
 def _collect_masks(radiograph: Radiograph) -> dict[str, NDArray[np.bool_]]:
-    """Return the masks of one knee, or of two knees with the side before the mask name; (rows, cols) bool each."""
+    """Return the masks (rows, cols) of all knees. For two knees, the mask names begin with the side."""
     if radiograph.truth is not None:
         return dict(radiograph.truth.masks)
     return {
@@ -161,7 +162,7 @@ def _collect_masks(radiograph: Radiograph) -> dict[str, NDArray[np.bool_]]:
 
 
 def _write_tiff(radiograph: Radiograph, masks: Mapping[str, NDArray[np.bool_]], path: Path) -> None:
-    """Write masks (rows, cols) as the pages of a TIFF, with a JSON header in the description of the first page."""
+    """Write masks (rows, cols) as pages of a TIFF, with JSON metadata in the description of the first page."""
     header = {"masks": list(masks), "sha256": hash_masks(masks), "radiograph": json.loads(encode_metadata(radiograph))}
     per_cm = float(10.0 / radiograph.protocol.pixel_mm)
     with tifffile.TiffWriter(path) as tiff:

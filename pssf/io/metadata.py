@@ -1,6 +1,7 @@
-"""Encode and decode the metadata of a radiograph as JSON: parameters, ground truth, versions and two hashes.
+"""JSON metadata of a radiograph: parameters, ground truth, versions and two hashes.
 
-One hash covers the metadata alone, and verifies files without linear pixels. The other hash covers metadata and pixels.
+One hash covers only the metadata, so that files without linear pixels can be verified. The other hash covers metadata
+and pixels.
 """
 
 import hashlib
@@ -24,14 +25,14 @@ from ..model.radiograph import Radiograph, Truth
 
 
 class LabelWarning(UserWarning):
-    """Warning that labels in a file belong to another view and are left out."""
+    """Warning that labels in a file belong to another view and are omitted."""
 
 
 class UnverifiedNotice(UserWarning):
-    """Warning that a file has no hash, so damage to the file cannot be detected."""
+    """Warning that a file contains no hash, so that damage to the file cannot be detected."""
 
 
-# Current names of labels, keyed by former name.
+# Mapping of former label names to current label names.
 _TRUTH_FIELDS = {"taking": "acquisition", "grade_read": "reader_grade"}
 
 
@@ -50,7 +51,10 @@ class _TruthEntry(Record, frozen=True):
 
 
 class _MetadataEntry(Record, frozen=True):
-    """JSON fields of the metadata. Protocol and knees are checked later, when their objects are constructed."""
+    """JSON fields of the metadata of a radiograph.
+
+    Protocol and knees are validated later, when the objects are constructed.
+    """
 
     protocol: dict[str, Any]
     knee: dict[str, Any] | None
@@ -69,14 +73,14 @@ class _MetadataEntry(Record, frozen=True):
 
 
 def encode_metadata(radiograph: Radiograph, indent: int | None = None) -> str:
-    """Encode the metadata of a radiograph as JSON, with a hash over the metadata and a hash over metadata and pixels.
+    """Encode the metadata of a radiograph as JSON, including a hash of the metadata and a hash of metadata and pixels.
 
     Parameters
     ----------
     radiograph : Radiograph
-        Radiograph whose metadata are encoded.
+        Radiograph with the metadata to encode.
     indent : int or None
-        Spaces per level of indentation; None writes one line.
+        Number of spaces per indentation level; None for a single line.
 
     Returns
     -------
@@ -90,7 +94,7 @@ def encode_metadata(radiograph: Radiograph, indent: int | None = None) -> str:
 
 
 def decode_metadata(text: str, path: Path) -> dict[str, Any]:
-    """Decode metadata from JSON that `encode_metadata` wrote.
+    """Decode JSON metadata that `encode_metadata` wrote.
 
     Parameters
     ----------
@@ -107,17 +111,18 @@ def decode_metadata(text: str, path: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        The text is not metadata of a radiograph, or contains an invalid protocol or knee.
+        The text does not contain the metadata of a radiograph, or protocol or knee are invalid.
 
     Warns
     -----
     LabelWarning
-        An earlier version wrote the file, so the joint space labels are left out.
+        An earlier version wrote the file, so that the joint space labels are omitted.
     """
     try:
         described = msgspec.convert(_update_names(json.loads(text)), _MetadataEntry)
-    except (ValueError, RecursionError) as error:  # The errors of msgspec are ValueErrors.
-        raise InputError(f"file {path} must be as pssf wrote it, got other content ({error})") from None
+    except (ValueError, RecursionError) as error:  # msgspec raises subclasses of ValueError.
+        allowed = "a radiograph or parameter file written by pssf"
+        raise InputError(f"file {path} must be {allowed}, got invalid metadata ({error})") from None
     where = f"file {path}"
     return {
         "protocol": protocol_from_dict(described.protocol, where),
@@ -135,7 +140,7 @@ def decode_metadata(text: str, path: Path) -> dict[str, Any]:
 
 
 def _update_names(entry: Any) -> Any:
-    """Replace field names of earlier versions by current names in parsed JSON metadata."""
+    """Replace former field names by current field names in parsed JSON metadata."""
     if not isinstance(entry, dict):
         return entry
     parts = {"protocol": PROTOCOL_FIELDS, "knee": KNEE_FIELDS, "knees": KNEE_FIELDS}
@@ -149,36 +154,36 @@ def _update_names(entry: Any) -> Any:
 
 
 def require_intact_radiograph(text: str, pixels: NDArray[Any], path: Path) -> None:
-    """Require that pixels and metadata of a file match their common hash.
+    """Verify the pixels and the metadata of a file with the hash of metadata and pixels.
 
     Parameters
     ----------
     text : str
         JSON text that `encode_metadata` wrote.
     pixels : (rows, cols) uint16 array, DN
-        Linear pixels of the same file.
+        Linear pixels of the file.
     path : Path
         Path shown in error messages.
 
     Raises
     ------
     InputError
-        The pixels are not uint16, or pixels and metadata differ from their hash.
+        The pixels are not uint16, or pixels and metadata do not match the recorded hash.
     """
     if pixels.dtype != np.uint16:
-        raise InputError(f"file {path}: pixels must be uint16, as pssf writes them, got {pixels.dtype}")
+        raise InputError(f"file {path}: pixels must be uint16, as written by pssf, got {pixels.dtype}")
     fields = json.loads(text)
     written = fields.pop("sha256")
     now = _hash_text_and_pixels(_dump_json(fields), pixels)
     if now != written:
         raise InputError(
-            f"file {path}: pixels and metadata must be as pssf wrote them, got sha256 {now[:12]}..., recorded "
-            f"{written[:12]}...: the file is damaged or was edited"
+            f"file {path}: pixels and metadata do not match their hash (sha256 {now[:12]}..., recorded "
+            f"{written[:12]}...); the file is damaged or was edited; save the radiograph again"
         )
 
 
 def require_intact_metadata(text: str, path: Path, pixels: NDArray[Any] | None = None) -> None:
-    """Require that metadata match the hash that was written with them.
+    """Verify the metadata of a file with the recorded hash.
 
     Parameters
     ----------
@@ -187,18 +192,17 @@ def require_intact_metadata(text: str, path: Path, pixels: NDArray[Any] | None =
     path : Path
         Path shown in error messages.
     pixels : (rows, cols) array, DN, or None
-        Linear pixels of the same file, which verify metadata that have no separate hash. None if the file has no linear
-        pixels.
+        Linear pixels of the file, for metadata without a separate hash. None if the file has no linear pixels.
 
     Raises
     ------
     InputError
-        The metadata differ from their hash.
+        The metadata do not match the recorded hash.
 
     Warns
     -----
     UnverifiedNotice
-        The file has no linear pixels, and an earlier version wrote no hash of the metadata alone.
+        An earlier version wrote the file without linear pixels and without a separate hash of the metadata.
     """
     fields = json.loads(text)
     fields.pop("sha256")
@@ -212,7 +216,7 @@ def require_intact_metadata(text: str, path: Path, pixels: NDArray[Any] | None =
 
 
 def require_hash(path: Path, actual_sha256: str, expected_sha256: str, content: str) -> None:
-    """Require that the hash of a content equals the hash that the file records.
+    """Require that the hash of the content equals the hash recorded in the file.
 
     Parameters
     ----------
@@ -221,24 +225,24 @@ def require_hash(path: Path, actual_sha256: str, expected_sha256: str, content: 
     actual_sha256 : str
         Hash of the content that was read.
     expected_sha256 : str
-        Hash that the file records.
+        Hash that is recorded in the file.
     content : str
-        Name of the content in error messages, in the plural, such as "masks".
+        Plural noun for the content in error messages, such as "masks".
 
     Raises
     ------
     InputError
-        The hashes differ.
+        The two hashes differ.
     """
     if actual_sha256 != expected_sha256:
         raise InputError(
-            f"file {path}: {content} must be as pssf wrote them (sha256 {expected_sha256[:12]}...), got "
-            f"{actual_sha256[:12]}...: the file is damaged or was edited; write it again"
+            f"file {path}: {content} do not match their hash (sha256 {actual_sha256[:12]}..., recorded "
+            f"{expected_sha256[:12]}...); the file is damaged or was edited; save the {content} again"
         )
 
 
 def hash_masks(masks: Mapping[str, NDArray[np.bool_]]) -> str:
-    """Compute the SHA-256 over the names, sizes and pixels of masks, in the order of the dict.
+    """Compute the SHA-256 hash over the names, sizes and pixels of masks, in the order of the dict.
 
     Parameters
     ----------
@@ -248,7 +252,7 @@ def hash_masks(masks: Mapping[str, NDArray[np.bool_]]) -> str:
     Returns
     -------
     str
-        SHA-256 in hexadecimal digits.
+        SHA-256 hash in hexadecimal digits.
     """
     digest = hashlib.sha256(json.dumps([(name, list(np.shape(mask))) for name, mask in masks.items()]).encode())
     for mask in masks.values():
@@ -257,22 +261,22 @@ def hash_masks(masks: Mapping[str, NDArray[np.bool_]]) -> str:
 
 
 def warn_unverified(path: Path, content: str) -> None:
-    """Warn that a file has no hash, because an earlier version wrote it.
+    """Warn that an earlier version wrote a file without a hash.
 
     Parameters
     ----------
     path : Path
-        Path shown in the warning.
+        Path of the file, shown in the warning.
     content : str
-        Name of the content in the warning, in the plural, such as "masks".
+        Plural noun for the content in the warning, such as "masks".
 
     Warns
     -----
     UnverifiedNotice
-        Always.
+        Always issued.
     """
     warnings.warn(
-        f"file {path}: its {content} have no hash, because an earlier version wrote the file; damage cannot be "
+        f"file {path}: the {content} have no hash, because an earlier version wrote the file; damage cannot be "
         "detected; save the file again",
         UnverifiedNotice,
         stacklevel=4,
@@ -316,13 +320,13 @@ def _build_truth_entry(truth: Truth) -> dict[str, Any]:
 
 
 def _make_truth(entry: _TruthEntry, path: Path) -> Truth:
-    """Construct a Truth from its JSON fields; leave out joint space labels of files of earlier versions."""
+    """Construct a Truth from JSON fields, without joint space labels if an earlier version wrote the file."""
     fields = msgspec.structs.asdict(entry)
     fields["jsw_at_mm"] = {float(fraction): space for fraction, space in entry.jsw_at_mm.items()}
     if entry.jsw_medial_mm is not None and "medial_jsw_femur" not in entry.landmarks_px:
         warnings.warn(
             f"file {path} was written by an earlier version, whose joint space labels belong to another view; the "
-            "labels are left out; simulate the knee again to get them",
+            "joint space labels are omitted; simulate the knee again to obtain the labels",
             LabelWarning,
             stacklevel=2,
         )
@@ -332,12 +336,12 @@ def _make_truth(entry: _TruthEntry, path: Path) -> Truth:
 
 
 def _dump_json(fields: dict[str, Any], indent: int | None = None) -> str:
-    """Encode fields as JSON; convert NumPy numbers to Python numbers."""
+    """Encode fields as JSON, and convert NumPy numbers to Python numbers."""
     return json.dumps(fields, indent=indent, default=lambda number: number.item())
 
 
 def _hash_text_and_pixels(text: str, pixels: NDArray[Any]) -> str:
-    """Compute one SHA-256 over a text and linear pixels (rows, cols), DN."""
+    """Compute the SHA-256 hash over a text and linear pixels (rows, cols) in DN."""
     digest = hashlib.sha256(text.encode())
     digest.update(np.ascontiguousarray(pixels, "<u2").tobytes())
     return digest.hexdigest()

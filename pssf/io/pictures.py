@@ -1,4 +1,4 @@
-"""Make small pictures for display on a screen: previews, heat maps, captions and marked regions."""
+"""Small pictures for screen display: previews, heat maps, captions and marked regions."""
 
 import io
 from collections.abc import Sequence
@@ -12,20 +12,20 @@ from ..detector import render_for_display
 from ..model.radiograph import Radiograph
 from .atomic_write import write_bytes
 
-# RGB colours from black over red to yellow. Each colour is lighter than the colour before it, also in a grey print.
+# RGB colours from black through red to yellow. The lightness increases monotonically, also in a greyscale print.
 _HEAT_COLOURS = ((0, 0, 4), (40, 11, 84), (101, 21, 110), (159, 42, 99), (212, 72, 66), (245, 125, 21), (250, 193, 39))
 
-# Length of the longer edge of previews and of pictures with a marked region, in pixels.
+# Length of the longer side of previews and of pictures with a marked region, in pixels.
 _MAX_SIDE_PX = 800
 
 
 def write_image_row(images: Sequence[NDArray[np.uint8]], path: str | Path, gap_px: int = 8) -> Path:
-    """Write 8-bit images side by side as one PNG.
+    """Write several 8-bit images side by side to one PNG file.
 
     Parameters
     ----------
     images : sequence of (rows, cols) or (rows, cols, 3) uint8 arrays
-        Grey or RGB images of the same height, from left to right.
+        Greyscale or RGB images of equal height, from left to right.
     path : str or Path
         File to write.
     gap_px : int
@@ -34,7 +34,7 @@ def write_image_row(images: Sequence[NDArray[np.uint8]], path: str | Path, gap_p
     Returns
     -------
     Path
-        The file that was written.
+        Path of the written file.
 
     Raises
     ------
@@ -54,17 +54,17 @@ def write_image_row(images: Sequence[NDArray[np.uint8]], path: str | Path, gap_p
 
 
 def make_preview(radiograph: Radiograph) -> Image.Image:
-    """Make a picture of a radiograph with display processing, at most 800 pixels along its longer edge.
+    """Create a preview of a radiograph with display processing and at most 800 pixels along the longer side.
 
     Parameters
     ----------
     radiograph : Radiograph
-        Radiograph to show.
+        Radiograph to display.
 
     Returns
     -------
     PIL.Image.Image
-        Grey 8-bit picture.
+        Greyscale preview with 8 bits per pixel.
     """
     shown = Image.fromarray(render_for_display(radiograph, processing="processed").astype(np.uint8))
     shown.thumbnail((_MAX_SIDE_PX, _MAX_SIDE_PX), Image.Resampling.LANCZOS)
@@ -77,12 +77,12 @@ def encode_preview_png(radiograph: Radiograph) -> bytes:
     Parameters
     ----------
     radiograph : Radiograph
-        Radiograph to show.
+        Radiograph to display.
 
     Returns
     -------
     bytes
-        Content of a PNG file; see `make_preview`.
+        Content of a PNG file with the image from `make_preview`.
     """
     buffer = io.BytesIO()
     make_preview(radiograph).save(buffer, format="PNG")
@@ -90,19 +90,19 @@ def encode_preview_png(radiograph: Radiograph) -> bytes:
 
 
 def apply_heat_map(values: ArrayLike, maximum: float) -> NDArray[np.uint8]:
-    """Colour values from black over red to yellow.
+    """Convert values to the colours of a heat map from black through red to yellow.
 
     Parameters
     ----------
     values : (rows, cols) array, any unit
-        Values from 0 to `maximum`; values outside are clipped.
+        Values from 0 to `maximum`. Values outside this range are clipped.
     maximum : float
-        Value of the brightest colour, in the unit of `values`.
+        Value that corresponds to the brightest colour, in the unit of `values`.
 
     Returns
     -------
     (rows, cols, 3) uint8 array
-        RGB colours, each lighter than those of smaller values.
+        RGB colours, whose lightness increases with the value.
     """
     places = np.linspace(0, 1, len(_HEAT_COLOURS))
     shares = np.clip(np.asarray(values, np.float64) / maximum, 0, 1)
@@ -112,23 +112,23 @@ def apply_heat_map(values: ArrayLike, maximum: float) -> NDArray[np.uint8]:
 
 
 def make_panel(image: NDArray[np.uint8], rows: int, cols: int, caption: str = "") -> NDArray[np.uint8]:
-    """Resize an image and write a caption into its upper left corner.
+    """Resize an image and draw a caption in the upper left corner.
 
     Parameters
     ----------
     image : (rows, cols) or (rows, cols, 3) uint8 array
-        Grey or RGB image.
+        Greyscale or RGB image.
     rows : int
         Height of the resized image, in pixels.
     cols : int
         Width of the resized image, in pixels.
     caption : str
-        Caption; an empty text writes no caption.
+        Text of the caption; empty for no caption.
 
     Returns
     -------
     (rows, cols, 3) uint8 array
-        RGB image.
+        Resized RGB image with the caption.
     """
     sheet = Image.fromarray(_convert_to_rgb(image)).resize((cols, rows), Image.Resampling.LANCZOS)
     smaller = min(rows, cols)
@@ -141,25 +141,25 @@ def make_panel(image: NDArray[np.uint8], rows: int, cols: int, caption: str = ""
 def draw_region(
     image: NDArray[np.uint8], centre_px: tuple[float, float], side_px: float, *, colour: str, caption: str = ""
 ) -> NDArray[np.uint8]:
-    """Draw a square region and a cross at its centre on an image, resized to 800 pixels along its longer edge.
+    """Resize an image to 800 pixels along the longer side, and draw a square region with a cross at its centre.
 
     Parameters
     ----------
     image : (rows, cols) uint8 array
-        Grey image.
+        Greyscale image.
     centre_px : (row, column) tuple of float
         Centre of the region, in pixels of `image`.
     side_px : float
         Edge length of the region, in pixels of `image`.
     colour : str
-        Name of the line colour in Pillow, such as "red".
+        Pillow name of the line colour, such as "red".
     caption : str
-        Caption; an empty text writes no caption.
+        Text of the caption; empty for no caption.
 
     Returns
     -------
     (rows, cols, 3) uint8 array
-        RGB image whose longer edge has 800 pixels.
+        RGB image with 800 pixels along the longer side.
     """
     zoom = _MAX_SIDE_PX / max(image.shape)
     rows, cols = (max(1, round(length * zoom)) for length in image.shape)
@@ -178,5 +178,5 @@ def draw_region(
 
 
 def _convert_to_rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Convert a grey image (rows, cols) to RGB (rows, cols, 3); return an RGB image unchanged."""
+    """Convert a greyscale image (rows, cols) to RGB (rows, cols, 3), and return an RGB image unchanged."""
     return image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)

@@ -1,6 +1,6 @@
-"""Read and write radiographs: TIFF and DICOM with linear pixels, PNG and DICOM for display, parameters as JSON.
+"""Radiograph files: TIFF and DICOM with linear pixels, PNG and DICOM for display, and JSON with parameters.
 
-Every file contains all parameters of the simulation of the radiograph.
+Every file contains all simulation parameters of the radiograph.
 """
 
 from collections.abc import Collection, Iterable, Iterator
@@ -28,7 +28,7 @@ from .metadata import (
     require_intact_radiograph,
 )
 
-# Allowed intents of each file suffix, with the default first; see `save`.
+# Allowed values of the parameter `intent` of `save` for each file suffix; the first value is the default.
 INTENTS = {
     ".tif": ("processing",),
     ".tiff": ("processing",),
@@ -37,10 +37,10 @@ INTENTS = {
 }
 SUFFIXES = tuple(INTENTS)
 BORDERS = ("none", "marked")
-# TIFF 6.0: tag ImageDescription, which contains the metadata.
+# Number of the TIFF tag ImageDescription, which contains the metadata (TIFF 6.0).
 _DESCRIPTION_TAG = 270
 _MARKER_ALLOWED = "none, except for a presentation image of one knee"
-# Formats that `save_formats` writes.
+# File formats that `save_formats` can write.
 FORMATS = ("tif", "png", "json", "dcm")
 
 
@@ -53,10 +53,10 @@ def save(
     border: str = "none",
     processing: str | FlatPanelProcessing | ScreenFilm = "processed",
 ) -> Path:
-    """Write a radiograph as TIFF (16 bit), DICOM Digital X-Ray (16 or 12 bit) or PNG (8 bit), by suffix.
+    """Write a radiograph as 16-bit TIFF, 16- or 12-bit DICOM Digital X-Ray, or 8-bit PNG, depending on the file suffix.
 
-    Every file contains all parameters of the radiograph. The same radiograph gives the same bytes. DICOM UIDs are
-    derived from the content.
+    Every file contains all simulation parameters of the radiograph. Identical radiographs yield identical files,
+    because DICOM UIDs are derived from the content.
 
     Parameters
     ----------
@@ -65,26 +65,26 @@ def save(
     path : str or Path
         File to write, with suffix .tif, .tiff, .dcm or .png.
     intent : {"processing", "presentation"} or None
-        "processing" writes the linear pixels, which `load` reads back. "presentation" writes an image with display
-        processing, bone bright. The words are those of DICOM, For Processing and For Presentation. A .tif has the
-        intent processing, a .png the intent presentation, a .dcm either. None means presentation for .png, and
-        processing otherwise.
+        "processing" writes linear pixels, which `load` can read. "presentation" writes an image with display processing
+        and bright bone. The names correspond to the DICOM values For Processing and For Presentation. A .tif file
+        requires "processing", a .png file requires "presentation", and a .dcm file allows both. None selects
+        "presentation" for .png and "processing" for other suffixes.
     border : {"none", "marked"}
-        "marked" adds the edge of the collimator and the side marker to a presentation image of one knee.
+        "marked" adds the collimator edge and the side marker to a presentation image of one knee.
     processing : str, FlatPanelProcessing or ScreenFilm
-        Display processing of presentation images: "processed", "log" or "film", or an object with other parameters;
-        see `render_for_display`. The file records the processing and its parameters.
+        Display processing of presentation images: "processed", "log" or "film", or an object with custom parameters;
+        see `render_for_display`. The method and its parameters are recorded in the file.
 
     Returns
     -------
     Path
-        The file that was written.
+        Path of the written file.
 
     Raises
     ------
     InputError
-        The suffix, intent, border or display processing is not supported. The side marker does not fit, or the side is
-        unknown. The disk is full, or the file cannot be written.
+        The suffix, intent, border or display processing is not supported, or the image does not allow a side marker.
+        The disk is full, or the file cannot be written.
 
     See Also
     --------
@@ -122,7 +122,7 @@ def save(
                 temporary, format="PNG", pnginfo=note
             )
         elif suffix == ".dcm":
-            from .dicom import dicom_radiograph  # pydicom is only imported for DICOM files.
+            from .dicom import dicom_radiograph  # pydicom is imported only for DICOM files.
 
             dicom_radiograph.write_radiograph(
                 radiograph, encode_metadata(radiograph), temporary, intent, side, shown_as
@@ -136,7 +136,8 @@ def save(
                 resolution=(per_cm, per_cm),
                 resolutionunit="CENTIMETER",
                 software=f"pssf {version('pssf')}",
-                # tifffile mistakes JSON with "shape": for its own metadata. A space before the colon prevents that.
+                # tifffile misinterprets JSON with the text "shape": as tifffile metadata. A space before the colon
+                # prevents the misinterpretation.
                 description=encode_metadata(radiograph).replace('"shape":', '"shape" :'),
                 metadata=None,
             )
@@ -144,7 +145,7 @@ def save(
 
 
 def _select_marker_side(radiograph: Radiograph, intent: str, border: str, path: Path) -> str | None:
-    """Return the side that the marker of a presentation image shows, or None for no marker."""
+    """Return the knee side for the drawn side marker of a presentation image, or None for no marker."""
     require_choice(f"file {path}: border", border, BORDERS)
     if border == "none":
         return None
@@ -161,36 +162,36 @@ def save_formats(
     border: str = "none",
     processing: str | FlatPanelProcessing | ScreenFilm = "processed",
 ) -> list[Path]:
-    """Write a radiograph in several formats to files with the same stem.
+    """Write a radiograph in several formats, to files that differ only in the suffix.
 
     Parameters
     ----------
     radiograph : Radiograph
         Radiograph to write.
     stem : str or Path
-        Path of the files without suffix.
+        Path of the files, without suffix.
     formats : collection of str
-        Any of "tif", "png", "json" and "dcm". "dcm" writes two files: STEM.dcm, For Processing, and
-        STEM_presentation.dcm, For Presentation.
+        One or more of "tif", "png", "json" and "dcm". The format "dcm" writes two files: STEM.dcm (For Processing) and
+        STEM_presentation.dcm (For Presentation).
     border : {"none", "marked"}
         Border of the presentation images; see `save`.
     processing : str, FlatPanelProcessing or ScreenFilm
-        Display processing of presentation images: "processed", "log" or "film", or an object with other parameters;
+        Display processing of presentation images: "processed", "log" or "film", or an object with custom parameters;
         see `render_for_display`.
 
     Returns
     -------
     list of Path
-        The files that were written.
+        Paths of the written files.
 
     Raises
     ------
     InputError
-        A format is not supported, a file of another radiograph already exists, or `save` raises an InputError.
+        A format is not supported, a file with another radiograph exists, or `save` raises an InputError.
     """
     for kind in formats:
         require_choice("formats", kind, FORMATS)
-    # All checks are made before the first file is written.
+    # All arguments are validated before the first file is written.
     require_no_other_radiograph(radiograph, (f"{stem}.{kind}" for kind in formats))
     if {"png", "dcm"} & set(formats):
         _select_marker_side(radiograph, "presentation", border, Path(stem))
@@ -209,19 +210,19 @@ def save_formats(
 
 
 def require_no_other_radiograph(radiograph: Radiograph, paths: Iterable[str | Path]) -> None:
-    """Require that existing files contain the same radiograph, before they are overwritten.
+    """Require that existing files contain the same radiograph, so that no other radiograph is overwritten.
 
     Parameters
     ----------
     radiograph : Radiograph
-        Radiograph to be written.
+        Radiograph to write.
     paths : iterable of str or Path
-        Files to be written; files that do not exist are skipped.
+        Paths of the files to write. Paths without an existing file are skipped.
 
     Raises
     ------
     InputError
-        A file contains another radiograph, or was not written by this package.
+        A file contains another radiograph, or was not written by PSSF.
     """
     for path in map(Path, paths):
         if path.exists():
@@ -234,7 +235,7 @@ def require_no_other_radiograph(radiograph: Radiograph, paths: Iterable[str | Pa
 
 
 def load(path: str | Path) -> Radiograph:
-    """Read a radiograph, with linear pixels and all parameters, from a TIFF or DICOM that `save` wrote.
+    """Read a radiograph with linear pixels and all parameters from a TIFF or DICOM file that `save` wrote.
 
     Parameters
     ----------
@@ -244,13 +245,13 @@ def load(path: str | Path) -> Radiograph:
     Returns
     -------
     Radiograph
-        Radiograph with the saved pixels, protocol, knee, seed, ground truth and audit. For masks see `load_masks`.
+        Radiograph with pixels, protocol, knee, seed, ground truth and audit. Masks are read by `load_masks`.
 
     Raises
     ------
     InputError
-        The file is missing, damaged or altered, or was not written by this package. Or the file is a DICOM For
-        Presentation, whose pixels are not linear.
+        The file is missing, damaged, altered or not written by PSSF, or the file is a DICOM For Presentation image,
+        whose pixels are not linear.
 
     See Also
     --------
@@ -272,40 +273,40 @@ def load(path: str | Path) -> Radiograph:
     ((64, 64), 0)
     """
     path = require_path(path)
-    with convert_read_errors(path, "a TIFF or DICOM by pssf"):
+    with convert_read_errors(path, "a TIFF or DICOM file written by pssf"):
         _require_own_image(path, "a TIFF or DICOM For Processing", ("TIFF",))
         pixels, text = _read_linear_and_metadata(path)
         made = decode_metadata(text, path)
         require_intact_radiograph(text, pixels, path)
         size = (made["protocol"].rows, made["protocol"].cols)
         if pixels.shape != size:
-            raise InputError(f"file {path}: pixels must be {size}, as in its protocol, got {pixels.shape}")
+            raise InputError(f"file {path}: shape of pixels must be {size}, as in the protocol, got {pixels.shape}")
         return Radiograph(pixels=pixels, **made)
 
 
 def load_parameters(path: str | Path) -> dict[str, Any]:
-    """Read the parameters of the simulation of a radiograph from its file.
+    """Read the simulation parameters of a radiograph from a file.
 
     Parameters
     ----------
     path : str or Path
-        File that `save` or `save_parameters` wrote, of any suffix and intent.
+        File that `save` or `save_parameters` wrote, with any suffix and intent.
 
     Returns
     -------
     dict of str to object
         Fields of `Radiograph` except pixels, keyed by field name: protocol, knee, knees, scene, surgery, seed,
-        truth, truths, engine, audit and versions. Meshes of implants and scenes are not in the file, only their hashes.
+        truth, truths, engine, audit and versions. For meshes of implants and scenes, the file contains only hashes.
 
     Raises
     ------
     InputError
-        The file is missing, damaged, altered, or was not written by this package.
+        The file is missing, damaged, altered or not written by PSSF.
 
     Warns
     -----
     UnverifiedNotice
-        The file is a PNG, JSON or DICOM For Presentation that an earlier version wrote without a hash.
+        An earlier version wrote the file (PNG, JSON or DICOM For Presentation) without a hash.
 
     See Also
     --------
@@ -327,7 +328,7 @@ def load_parameters(path: str | Path) -> dict[str, Any]:
     """
     path = require_path(path)
     pixels: NDArray[Any] | None = None
-    with convert_read_errors(path, "a TIFF, DICOM, PNG or JSON by pssf"):
+    with convert_read_errors(path, "a TIFF, DICOM, PNG or JSON file written by pssf"):
         _require_own_image(path, "a TIFF, DICOM, PNG or JSON", ("TIFF", "PNG"))
         if path.suffix.lower() == ".json":
             text = read_text(path)
@@ -346,25 +347,25 @@ def load_parameters(path: str | Path) -> dict[str, Any]:
 
 
 def _require_own_image(path: Path, wanted: str, kinds: tuple[str, ...]) -> None:
-    """Require that this package wrote an image, and that its format is one of `kinds`.
+    """Require that PSSF wrote an image, and that the image format is one of `kinds`.
 
-    Damaged files and files that are not images are checked by the readers later. The InputError names the function or
-    command that reads the image.
+    Damaged files and files that are not images are not rejected, because the readers report these files later. The
+    InputError contains the function or command that can read the image.
     """
     kind, text = "", ""
-    with suppress(Exception), Image.open(path) as image:  # A damaged file can fail anywhere in its reader.
+    with suppress(Exception), Image.open(path) as image:  # Reading a damaged file can raise any exception.
         tags = getattr(image, "tag_v2", {})
         kind, text = image.format or "", str(image.info.get("Description", tags.get(_DESCRIPTION_TAG, "")))
     if not kind or ('"protocol"' in text and kind in kinds):
         return
-    what = f"file must be {wanted} that pssf wrote, got {path}, a {kind}"
+    what = f"file {path} must be {wanted} file written by pssf, got a {kind}"
     if '"protocol"' in text:
-        raise InputError(f"{what} for presentation, without linear pixels: load_parameters reads its parameters")
-    raise InputError(f"{what} of another program: pssf predict, pssf.features and pssf study --films read such images")
+        raise InputError(f"{what} for presentation, without linear pixels: use load_parameters to read the parameters")
+    raise InputError(f"{what} of another program: use pssf predict, pssf.features or pssf study --films")
 
 
 def _read_linear_and_metadata(path: Path) -> tuple[NDArray[Any], str]:
-    """Read the linear pixels (rows, cols), DN, and the JSON metadata of a TIFF or DICOM."""
+    """Read the linear pixels (rows, cols) in DN and the JSON metadata from a TIFF or DICOM file."""
     if is_dicom(path):
         from .dicom import dicom_radiograph
 
@@ -388,23 +389,23 @@ def require_radiograph(radiograph: object) -> None:
         The object is not a Radiograph.
     """
     if not isinstance(radiograph, Radiograph):
-        raise InputError(f"radiograph must be a Radiograph, as simulate returns it, got {radiograph!r}")
+        raise InputError(f"radiograph must be a Radiograph, as returned by simulate, got {radiograph!r}")
 
 
 def require_suffix(path: Path, allowed: tuple[str, ...]) -> str:
-    """Require that a file has one of the allowed suffixes.
+    """Require that a file has an allowed suffix.
 
     Parameters
     ----------
     path : Path
         File to check.
     allowed : tuple of str
-        Allowed suffixes in lower case, with the dot.
+        Allowed suffixes in lower case, including the dot.
 
     Returns
     -------
     str
-        Suffix in lower case.
+        Suffix in lower case, including the dot.
 
     Raises
     ------
@@ -418,27 +419,29 @@ def require_suffix(path: Path, allowed: tuple[str, ...]) -> str:
 
 
 @contextmanager
-def convert_read_errors(path: str | Path, allowed: str, fault: str = "damaged or not by pssf") -> Iterator[None]:
-    """Convert any error in the reader of a regular file to an InputError of one line that names the file.
+def convert_read_errors(
+    path: str | Path, allowed: str, fault: str = "damaged or not written by pssf"
+) -> Iterator[None]:
+    """Convert any exception during reading of a file to a one-line InputError that contains the path.
 
     Parameters
     ----------
     path : str or Path
-        File that the block reads; error messages show the path.
+        File that the ``with`` block reads. Error messages contain the path.
     allowed : str
-        Description of a valid file, such as "a TIFF or DICOM by pssf".
+        Description of a valid file, such as "a TIFF or DICOM file written by pssf".
     fault : str
         Description of an unreadable file, such as "damaged".
 
     Yields
     ------
     None
-        Control, for the block that reads the file.
+        No value. The ``with`` block must read the file.
 
     Raises
     ------
     InputError
-        The path is not a regular file, or the block raises any error.
+        The path is not a regular file, or the ``with`` block raises an exception.
     """
     try:
         require_regular_file(Path(path), allowed=allowed)
@@ -446,26 +449,26 @@ def convert_read_errors(path: str | Path, allowed: str, fault: str = "damaged or
     except InputError:
         raise
     except OSError as error:
-        raise InputError(f"file {path} must be {allowed} that can be read, got {error.strerror or error}") from None
-    except Exception as error:  # A damaged file can fail anywhere in its reader.
+        raise InputError(f"file {path} must be {allowed} and readable, got {error.strerror or error}") from None
+    except Exception as error:  # Reading a damaged file can raise any exception.
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise InputError(f"file {path} must be {allowed}, got a file that is {fault} ({reason})") from None
 
 
 def save_parameters(radiograph: Radiograph, path: str | Path) -> Path:
-    """Write all parameters of the simulation of a radiograph as JSON.
+    """Write all simulation parameters of a radiograph as JSON.
 
     Parameters
     ----------
     radiograph : Radiograph
-        Radiograph whose parameters are written.
+        Radiograph with the parameters to write.
     path : str or Path
         File to write.
 
     Returns
     -------
     Path
-        The file that was written.
+        Path of the written file.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Record command, date, machine and machine load of a run in its output folder."""
+"""Record of the command, date, machine and machine load of a run, stored in the output folder."""
 
 import os
 import platform
@@ -11,24 +11,24 @@ from pathlib import Path
 from ..core.processes.parallel_map import count_cores
 from .cohort_records import write_json
 
-# Name of the record file in the output folder.
+# Name of the run record file in the output folder.
 RUN_FILE = "run.json"
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunRecord:
-    """Command, date and machine of a measurement.
+    """Record of the command, date and machine of a run.
 
     Attributes
     ----------
     command : str
         Command line, such as ``pssf validate --tables knees --out runs/knees``.
     date : str
-        Date, such as 2026-11-22.
+        Date of the run, such as 2026-11-22.
     machine : str
         Description of the machine; see `describe_machine`.
     note : str
-        Further remark; empty for none.
+        Additional remark; empty if there is none.
     """
 
     command: str
@@ -37,7 +37,7 @@ class RunRecord:
     note: str
 
     def save(self, folder: Path) -> Path:
-        """Write the record as ``run.json``.
+        """Write the run record to ``run.json``.
 
         Parameters
         ----------
@@ -59,12 +59,12 @@ class RunRecord:
 
 
 def describe_machine() -> str:
-    """Describe the current machine: usable cores, processor, operating system and Python version.
+    """Describe the machine by usable cores, processor, operating system and Python version.
 
     Returns
     -------
     str
-        Description of the machine in one line, for a caption.
+        One-line description of the machine, for a caption.
     """
     processor = platform.machine().replace("_", "-")
     release = ".".join(platform.python_version_tuple()[:2])
@@ -72,14 +72,16 @@ def describe_machine() -> str:
 
 
 def start_run_record() -> RunRecord:
-    """Make the record of a command-line run before the run starts, because the run itself adds to the machine load.
+    """Create the record of a command-line run.
+
+    The function must be called before the run starts, because the run increases the machine load.
 
     Returns
     -------
     RunRecord
-        Record that the caller saves when the run is complete.
+        Run record, which the caller must save when the run is complete.
     """
-    # Windows has no load average.
+    # Windows does not provide a load average.
     load = os.getloadavg()[0] if hasattr(os, "getloadavg") else 0.0
     return RunRecord(
         command=shlex.join(["pssf", *sys.argv[1:]]),

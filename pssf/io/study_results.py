@@ -1,4 +1,4 @@
-"""Read and write the results of a study: tables, JSON, pages and figures."""
+"""Reading and writing of study results: tables, JSON files, HTML pages and figures."""
 
 import io
 import json
@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 
 def save_table(path: Path, table: "pd.DataFrame") -> None:
-    """Write a data frame as CSV without its index; floats have enough digits to be read back exactly.
+    """Write a data frame without its index as CSV, with all digits that are needed to restore floats exactly.
 
     Parameters
     ----------
@@ -40,24 +40,24 @@ def save_table(path: Path, table: "pd.DataFrame") -> None:
 
 
 def load_table(path: Path, text_columns: tuple[str, ...] = ()) -> "pd.DataFrame | None":
-    """Read a CSV that `save_table` wrote, with the same values.
+    """Read a CSV file that `save_table` wrote, with identical values.
 
     Parameters
     ----------
     path : Path
         File to read.
     text_columns : tuple of str
-        Columns of text. All other columns have floats, and an empty cell is NaN.
+        Names of the text columns. All other columns contain floats, and an empty cell is NaN.
 
     Returns
     -------
     pandas.DataFrame or None
-        The table; None if the file does not exist.
+        Data frame, or None if the file does not exist.
 
     Raises
     ------
     InputError
-        The file is not a table, or repeats a column.
+        The file is not a table, or a column name is repeated.
     """
     import pandas as pd
 
@@ -68,7 +68,7 @@ def load_table(path: Path, text_columns: tuple[str, ...] = ()) -> "pd.DataFrame 
         require_unique_columns(path, parse_csv_header(text))
         table = pd.read_csv(io.StringIO(text), dtype=str, keep_default_na=False)
         numbers = table.columns.difference(text_columns)
-        # Python parses floats exactly. The last digits of floats from pandas.read_csv depend on the version of pandas.
+        # Python parses floats exactly, whereas the last digits from pandas.read_csv depend on the pandas version.
         table[numbers] = table[numbers].replace("", "nan").astype(float)
         return table
 
@@ -77,7 +77,7 @@ def load_table(path: Path, text_columns: tuple[str, ...] = ()) -> "pd.DataFrame 
 
 
 def load_typed_table(path: Path) -> "pd.DataFrame":
-    """Read a CSV that `save_table` wrote, and infer the type of each column: integers, else floats, else text.
+    """Read a CSV file that `save_table` wrote, and infer the type of each column: integer, float or text.
 
     Parameters
     ----------
@@ -87,12 +87,12 @@ def load_typed_table(path: Path) -> "pd.DataFrame":
     Returns
     -------
     pandas.DataFrame
-        The table, with the same floats as were saved.
+        Data frame with the same float values as the saved table.
 
     Raises
     ------
     InputError
-        The file cannot be read, or repeats a column.
+        The file cannot be read, or a column name is repeated.
     """
     import pandas as pd
 
@@ -103,7 +103,7 @@ def load_typed_table(path: Path) -> "pd.DataFrame":
 
 
 def _convert_column(column: "pd.Series") -> "pd.Series":
-    """Convert a column of text to integers, else to floats; return it unchanged if neither is possible."""
+    """Convert a text column to integers or else to floats, and return any other column unchanged."""
     for kind, empty in (("int64", ""), ("float64", "nan")):
         try:
             return column.replace("", empty).astype(kind)
@@ -134,19 +134,19 @@ def load_bytes(path: Path) -> bytes:
 
 
 def load_json(path: Path, kind: type[T]) -> T | None:
-    """Read JSON as a record, or as another type that msgspec supports.
+    """Read a JSON file as a record, or as another type that msgspec supports.
 
     Parameters
     ----------
     path : Path
         File to read.
     kind : type
-        Type of the content.
+        Type to which the content is converted.
 
     Returns
     -------
     object of type `kind`, or None
-        The content; None if the file does not exist or has content of another type.
+        Content of the file, or None if the file does not exist or the content has another type.
     """
     try:
         held: T = read_json(path, kind)
@@ -156,7 +156,7 @@ def load_json(path: Path, kind: type[T]) -> T | None:
 
 
 def save_json(path: Path, value: Any) -> None:
-    """Write a value as indented JSON, with keys in the order of the value.
+    """Write a value as indented JSON, with unchanged key order.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def save_json(path: Path, value: Any) -> None:
 
 
 def save_text(path: Path, text: str) -> None:
-    """Write a text in UTF-8.
+    """Write a text file in UTF-8.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def save_text(path: Path, text: str) -> None:
 
 
 def save_bytes(path: Path, content: bytes) -> None:
-    """Write the bytes of a figure or of a model file.
+    """Write a binary file, such as a figure or a model.
 
     Parameters
     ----------

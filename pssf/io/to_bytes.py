@@ -1,4 +1,4 @@
-"""Encode files as bytes for callers without a path: a radiograph, or the meshes of a scene."""
+"""Encoding of a radiograph, or of the meshes of a scene, as bytes in a file format."""
 
 import io
 import zipfile
@@ -12,7 +12,7 @@ from .radiograph_files import save, save_parameters
 
 
 def encode_radiograph(radiograph: Radiograph, kind: str) -> bytes:
-    """Encode a radiograph as the bytes of a file.
+    """Encode a radiograph as bytes in a file format.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def encode_radiograph(radiograph: Radiograph, kind: str) -> bytes:
     Raises
     ------
     InputError
-        `save` raises an InputError.
+        `save` or `save_parameters` raises an InputError.
     """
     with TemporaryDirectory() as folder:
         path = Path(folder) / f"radiograph.{kind}"
@@ -41,21 +41,21 @@ def encode_radiograph(radiograph: Radiograph, kind: str) -> bytes:
 
 
 def encode_meshes(scene: Scene, kind: str, stem: str) -> tuple[str, bytes]:
-    """Encode the meshes of a scene as the bytes of one file, or of a zip of several files.
+    """Encode the meshes of a scene as bytes: one file, or a zip archive if the format requires several files.
 
     Parameters
     ----------
     scene : Scene
         Scene to encode.
     kind : str
-        "stl", "ply", "glb" or "3mf".
+        File format: "stl", "ply", "glb" or "3mf".
     stem : str
         File name without suffix.
 
     Returns
     -------
     name : str
-        File name with suffix.
+        File name, including the suffix.
     content : bytes
         Content of the file.
 

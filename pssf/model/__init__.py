@@ -1,12 +1,12 @@
-"""Input and output types: knees, protocols, radiographs with their labels, and the sampling of knees and acquisitions.
+"""Define knees, protocols and radiographs with their labels, and sample knees and acquisitions.
 
 knee               Knee, Osteophyte and Cyst: the parameters of one knee, checked when they are constructed
-kellgren_lawrence  the Kellgren-Lawrence (KL) grade that follows from an anatomy, and the grades that it allows
+kellgren_lawrence  the Kellgren-Lawrence (KL) grade derived from an anatomy, and the grades that an anatomy allows
 oarsi_grades       OARSI grades of a knee
-limb_axes          angles and ratios of the limb, as they are measured on radiographs
-progression        the same knee some years later, and the true change between two visits
-protocol           Protocol: technique, geometry, detector and the stages of the simulation
-field_listing      lists of the fields of a knee and of a protocol, and changes of fields by name
+limb_axes          limb angles and length ratios, with the definitions used on radiographs
+progression        a knee at a follow-up visit, and the true change between two visits
+protocol           Protocol: exposure technique, geometry, detector and simulation stages
+field_listing      lists of the Knee and Protocol fields, and changes of fields by name
 radiograph         Radiograph and Truth: pixels and labels
-sampling           random knees of a KL grade, random acquisitions, random display processing
+sampling           random knees of a specified KL grade, random acquisitions, random display processing
 """

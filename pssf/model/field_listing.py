@@ -1,4 +1,4 @@
-"""List the fields of a knee or of a protocol for users, and change some of them by name."""
+"""List the fields of a knee or protocol for users, and change fields by name."""
 
 import tomllib
 from collections.abc import Sequence
@@ -18,12 +18,12 @@ from .knee import (
 from .protocol import Protocol, protocol_from_dict, protocol_to_dict
 
 T = TypeVar("T", bound=Knee | Protocol)
-# Name of a parameter set -> its dataclass.
+# Dataclass of each parameter set, keyed by the name of the parameter set.
 _KINDS: dict[str, type[Knee] | type[Protocol]] = {"knee": Knee, "protocol": Protocol}
 
 
 def list_fields(kind: str) -> list[dict[str, str]]:
-    """List the fields of a knee or of a protocol with their unit, allowed values, default and source.
+    """List the fields of a knee or protocol with their units, allowed values, defaults and sources.
 
     Parameters
     ----------
@@ -34,8 +34,8 @@ def list_fields(kind: str) -> list[dict[str, str]]:
     -------
     list of dict of str to str
         One row per field with the keys ``field``, ``what`` (meaning of the field), ``unit``, ``allowed``, ``default``
-        ("" if the field is required) and ``source``. For a knee, rows for the fields of osteophytes and cysts and for
-        the shape scores follow.
+        ("" if the field is required) and ``source``. For a knee, the last rows describe osteophyte fields, cyst fields
+        and shape scores.
     """
     laws = load_field_specs(kind)
     rows = [
@@ -48,13 +48,13 @@ def list_fields(kind: str) -> list[dict[str, str]]:
     for each in ("osteophyte", "cyst"):
         rows += [_make_row(f"{each}s.{name}", law, "") for name, law in load_field_specs(each).items()]
     modes = [mode.name for mode in load_shape_model().modes]
-    what = f"scores of the modes of bone shape, in SD from the population mean, in this order: {', '.join(modes)}"
+    what = f"scores of the bone shape modes, in SD from the population mean, in the order {', '.join(modes)}"
     allowed = f"up to {len(modes)} numbers, each {-MAX_SHAPE_SD:g} to {MAX_SHAPE_SD:g}"
     return [*rows, {"field": "shape", "what": what, "unit": "SD", "allowed": allowed, "default": "[]", "source": ""}]
 
 
 def _make_row(name: str, law: Any, default: str) -> dict[str, str]:
-    """Make the row of one field from its specification."""
+    """Make the table row of one field from its specification."""
     said = {"what": law.description, "unit": law.unit, "allowed": law.allowed_text, "source": law.source}
     return {"field": name, "default": default, **said}
 
@@ -65,14 +65,14 @@ def _format_default(field: Any) -> str:
 
 
 def format_knee_template() -> str:
-    """Write a TOML file of the default knee, with the meaning, unit and allowed values above every field.
+    """Format the default knee as TOML, with the meaning, unit and allowed values above every field.
 
     Returns
     -------
     str
-        Text of the file, which ``pssf simulate --knee FILE`` reads.
+        Content of a TOML file for ``pssf simulate --knee FILE``.
     """
-    lines = ["# A knee for `pssf simulate --knee FILE`. A missing field gets the value shown here."]
+    lines = ["# Knee for `pssf simulate --knee FILE`. A missing field gets the default value in this template."]
     given = knee_to_dict(Knee())
     for row in list_fields("knee"):
         if row["field"] not in load_field_specs("knee"):
@@ -86,39 +86,39 @@ def format_knee_template() -> str:
         lines.append(f"# {row['field']} = {0 if value is None else shown}" if computed else f"{row['field']} = {shown}")
     lines += [
         "",
-        "# scores of the modes of bone shape, in SD; `pssf knees` lists the modes",
+        "# scores of the bone shape modes, in SD; `pssf knees` lists the modes",
         "shape = []",
         "",
         "# one table per osteophyte; place and curve_deg are optional",
-        'osteophytes = []  # such as [{ site = "medial_tibia", size_mm = 2.0, place = 0.0, curve_deg = 0.0 }]',
+        'osteophytes = []  # example: [{ site = "medial_tibia", size_mm = 2.0, place = 0.0, curve_deg = 0.0 }]',
         "",
         f"# at most {MAX_CYSTS} cysts, one table per cyst; place and outward are optional",
-        'cysts = []  # such as [{ site = "medial_tibia", diameter_mm = 4.0, place = 0.0, outward = 0.5 }]',
+        'cysts = []  # example: [{ site = "medial_tibia", diameter_mm = 4.0, place = 0.0, outward = 0.5 }]',
     ]
     return "\n".join(lines) + "\n"
 
 
 def parse_settings(settings: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Parse texts such as "mas=2" into the fields of a knee and of a protocol to change.
+    """Parse settings such as "mas=2" into changes of knee and protocol fields.
 
     Parameters
     ----------
     settings : sequence of str
-        Texts of the form ``FIELD=VALUE``. A field name that knee and protocol have in common is written ``knee.FIELD``
-        or ``protocol.FIELD``. A value is written as in TOML. Text needs no quotation marks, and ``none`` stands for
+        Settings of the form ``FIELD=VALUE``. A field name that exists in both knee and protocol is written
+        ``knee.FIELD`` or ``protocol.FIELD``. Values use TOML syntax. Text needs no quotation marks, and ``none`` means
         None.
 
     Returns
     -------
     knee_fields : dict of str to object
-        Field of a knee and its new value.
+        New value of each knee field, keyed by field name.
     protocol_fields : dict of str to object
-        Field of a protocol and its new value.
+        New value of each protocol field, keyed by field name.
 
     Raises
     ------
     InputError
-        If a text has no "=", or names an unknown field, an ambiguous field, or the same field twice.
+        If a setting has no "=", or names an unknown field, an ambiguous field, or the same field twice.
     """
     wanted: dict[str, dict[str, Any]] = {"knee": {}, "protocol": {}}
     names = {kind: [field.name for field in fields(of)] for kind, of in _KINDS.items()}
@@ -131,7 +131,7 @@ def parse_settings(settings: Sequence[str]) -> tuple[dict[str, Any], dict[str, A
         if dot:
             require_choice("set", kind, tuple(_KINDS))
         if len(kinds) > 1:
-            raise InputError(f"set must name knee.{field} or protocol.{field}, got {field!r}: both have this field")
+            raise InputError(f"set must name knee.{field} or protocol.{field}, got {field!r}: the name is ambiguous")
         require_choice("set", field, names[kinds[0]] if kinds else [*names["protocol"], *names["knee"]])
         if field in wanted[kinds[0]]:
             raise InputError(f"set must name each field once, got {name!r} twice")
@@ -148,14 +148,15 @@ def _parse_value(text: str) -> Any:
 
 
 def apply_settings(target: T, settings: dict[str, Any]) -> T:
-    """Replace some fields of a knee or of a protocol and check the result.
+    """Replace fields of a knee or protocol and check the result.
 
     Parameters
     ----------
     target : Knee or Protocol
         Knee or protocol to change.
     settings : dict of str to object
-        New value per field name, as returned by `parse_settings`. The text ``none`` sets an optional field to None.
+        New values keyed by field name, as returned by `parse_settings`. The text ``none`` sets an optional field to
+        None.
 
     Returns
     -------
@@ -165,7 +166,7 @@ def apply_settings(target: T, settings: dict[str, Any]) -> T:
     Raises
     ------
     InputError
-        If a value is not allowed.
+        If a field is unknown or a value is not allowed.
     """
     if not settings:
         return target
@@ -179,6 +180,6 @@ def apply_settings(target: T, settings: dict[str, Any]) -> T:
 
 
 def _parse_items(table: dict[str, Any]) -> dict[str, Any]:
-    """Convert tables of osteophytes and cysts to `Osteophyte` and `Cyst`; leave other values unchanged."""
+    """Convert osteophyte and cyst tables to `Osteophyte` and `Cyst`; leave other values unchanged."""
     whole = knee_from_dict(table, "set")
     return {name: getattr(whole, name) if isinstance(value, list) else value for name, value in table.items()}

@@ -1,7 +1,7 @@
-"""Kellgren-Lawrence (KL) grades of a knee: the grade derived from its anatomy, and the grades that it allows.
+"""Derive the Kellgren-Lawrence (KL) grade and the range of allowed KL grades from the anatomy of a knee.
 
-Kellgren and Lawrence (1957) define the grades in words and pictures. The package uses numerical thresholds instead,
-which are in ``data/oarsi.toml``.
+Kellgren and Lawrence (1957) define the grades in words and pictures. This package uses the numerical thresholds in
+``data/oarsi.toml`` instead.
 """
 
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 # Compartments of the tibiofemoral joint.
 SIDES = ("medial", "lateral")
-# Joint margins. Only osteophytes at these sites affect the KL grade.
+# Joint margins; only marginal osteophytes affect the KL grade.
 MARGINS = ("medial_tibia", "medial_femur", "lateral_tibia", "lateral_femur")
 # Highest KL grade (Kellgren and Lawrence 1957).
 MAX_GRADE = 4
@@ -27,7 +27,7 @@ def largest_osteophyte_mm(knee: "Knee") -> float:
     Parameters
     ----------
     knee : Knee
-        Knee with its anatomy.
+        Knee whose anatomy is evaluated.
 
     Returns
     -------
@@ -43,17 +43,16 @@ def narrowing_fraction(knee: "Knee", side: str, cuts: OarsiThresholds) -> float:
     Parameters
     ----------
     knee : Knee
-        Knee with its anatomy.
+        Knee whose anatomy is evaluated.
     side : {"medial", "lateral"}
         Compartment.
     cuts : OarsiThresholds
-        Table with the healthy joint space width of each compartment and sex.
+        Grading thresholds, which include the healthy joint space width of each compartment and sex.
 
     Returns
     -------
     float
-        1 minus the ratio of the joint space width to the healthy width; negative if the joint space is wider than
-        normal.
+        1 minus the ratio of the joint space width to the healthy joint space width; negative for a wider joint space.
     """
     return 1 - float(getattr(knee, f"jsw_{side}_mm")) / cuts.healthy_jsw_mm(
         side, sex=knee.sex, jsw_definition=knee.jsw_definition
@@ -61,18 +60,18 @@ def narrowing_fraction(knee: "Knee", side: str, cuts: OarsiThresholds) -> float:
 
 
 def derive_grade(knee: "Knee", cuts: OarsiThresholds) -> int:
-    """Derive the KL grade of an anatomy (Kellgren and Lawrence 1957).
+    """Derive the KL grade from the anatomy of a knee (Kellgren and Lawrence 1957).
 
     Grade 0 has neither osteophytes nor narrowing. Grade 1 has a doubtful osteophyte or doubtful narrowing. Grade 2 has
-    a definite osteophyte. Grades 3 and 4 have a definite osteophyte with definite and severe narrowing. Severe
-    narrowing without a definite osteophyte is also grade 3 or 4.
+    a definite osteophyte. Grade 3 has a definite osteophyte with definite narrowing, and grade 4 has a definite
+    osteophyte with severe narrowing. Severe narrowing without a definite osteophyte is also grade 3 or 4.
 
     Parameters
     ----------
     knee : Knee
-        Knee with its anatomy.
+        Knee whose anatomy is evaluated.
     cuts : OarsiThresholds
-        Thresholds of osteophyte size and joint space loss between the grades.
+        Thresholds between the grades for osteophyte size and joint space loss.
 
     Returns
     -------
@@ -90,14 +89,14 @@ def derive_grade(knee: "Knee", cuts: OarsiThresholds) -> int:
 
 
 def kl_grade(knee: "Knee", cuts: OarsiThresholds) -> int:
-    """Return the KL grade for which a knee was sampled, or the grade derived from its anatomy.
+    """Return the requested KL grade of a sampled knee, or the grade derived from the anatomy of any other knee.
 
     Parameters
     ----------
     knee : Knee
-        Knee with its anatomy. `Knee.grade` is used if it is not None.
+        Knee to grade. `Knee.grade` is used if it is not None.
     cuts : OarsiThresholds
-        Thresholds of osteophyte size and joint space loss between the grades.
+        Thresholds between the grades for osteophyte size and joint space loss.
 
     Returns
     -------
@@ -108,18 +107,18 @@ def kl_grade(knee: "Knee", cuts: OarsiThresholds) -> int:
 
 
 def allowed_grades(knee: "Knee", cuts: OarsiThresholds) -> tuple[int, int]:
-    """Return the lowest and the highest KL grade that do not contradict an anatomy.
+    """Return the lowest and highest KL grade that are consistent with the anatomy of a knee.
 
-    Grades overlap, because readers disagree and because a sampled knee keeps the grade for which it was sampled. An
-    anatomy excludes a grade if no grade table of the package contains its osteophytes or its joint space in knees of
-    that grade.
+    The grades overlap, because readers disagree and because a sampled knee keeps its requested grade. An anatomy
+    excludes a grade if no built-in grade table contains the osteophytes of the anatomy, or its joint space widths, in
+    knees with that grade.
 
     Parameters
     ----------
     knee : Knee
-        Knee with its anatomy.
+        Knee whose anatomy is evaluated.
     cuts : OarsiThresholds
-        Thresholds of osteophyte size and joint space loss between the grades.
+        Thresholds between the grades for osteophyte size and joint space loss.
 
     Returns
     -------
@@ -142,18 +141,18 @@ def allowed_grades(knee: "Knee", cuts: OarsiThresholds) -> tuple[int, int]:
 def require_grade(knee: "Knee") -> None:
     """Check that the KL grade of a knee does not contradict its anatomy.
 
-    Knees without a grade are not checked. Knees from a user's own grade table are not checked either, because the table
-    defines the meaning of its grades.
+    Knees without a grade are not checked. Knees from a user-defined grade table are not checked either, because a user
+    table defines its own grades.
 
     Parameters
     ----------
     knee : Knee
-        The knee to check.
+        Knee to check.
 
     Raises
     ------
     InputError
-        If the anatomy excludes the grade. The message names the allowed grades.
+        If the anatomy excludes the grade. The error message lists the allowed grades.
     """
     if knee.grade is None or (knee.grade_table is not None and knee.grade_table not in list_grade_tables()):
         return

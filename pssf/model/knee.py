@@ -1,4 +1,4 @@
-"""Parameters of one knee with its osteophytes and cysts, checked when they are constructed."""
+"""Define the parameters of one knee with its osteophytes and cysts, and check them at construction."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -19,14 +19,15 @@ from .kellgren_lawrence import require_grade
 
 # Largest absolute score of a shape mode, in standard deviations from the population mean.
 MAX_SHAPE_SD = 3.0
-# Smallest distance between two osteophytes or cysts at the same site, in units of `place`. Closer ones would merge.
+# Smallest distance between two osteophytes or cysts at the same site, in units of `place`. Closer osteophytes or cysts
+# would merge.
 MIN_POSITION_SPACING = 0.5
-# Maximum number of cysts. Patients with more cysts are rare, and this number still fits into an epiphysis.
+# Maximum number of cysts. More cysts are rare in patients, and six cysts still fit into an epiphysis.
 MAX_CYSTS = 6
 # Difference between the medial and the lateral joint space above which the lateral compartment counts as narrowed, in
 # mm. Smaller differences also occur in healthy subjects (the SD of each compartment is 0.7 to 1 mm).
 _CLEAR_DIFFERENCE_MM = 1.0
-# Sites of osteophytes at the joint margins and on the tibial spines.
+# Osteophyte sites at the joint margins and on the tibial spines.
 MARGIN_AND_SPINE_SITES = (
     "medial_femur",
     "lateral_femur",
@@ -35,11 +36,11 @@ MARGIN_AND_SPINE_SITES = (
     "medial_spine",
     "lateral_spine",
 )
-# Sites of osteophytes in the middle of a joint surface.
+# Osteophyte sites in the middle of a joint surface.
 CENTRAL_SITES = ("medial_condyle", "lateral_condyle", "medial_plateau", "lateral_plateau")
-# All sites of osteophytes.
+# All osteophyte sites.
 OSTEOPHYTE_SITES = MARGIN_AND_SPINE_SITES + CENTRAL_SITES
-# Second word of a site name -> bone.
+# Bone of each osteophyte site, keyed by the second word of the site name.
 BONE_OF_SITE_PART = {"femur": "femur", "condyle": "femur", "tibia": "tibia", "plateau": "tibia", "spine": "tibia"}
 # Largest size of a central osteophyte, in mm (assumed).
 _MAX_CENTRAL_SIZE_MM = 5.0
@@ -51,7 +52,7 @@ def other_compartment(side: str) -> str:
     Parameters
     ----------
     side : {"medial", "lateral"}
-        A compartment.
+        Compartment of the tibiofemoral joint.
 
     Returns
     -------
@@ -69,18 +70,18 @@ class Osteophyte:
     Parameters
     ----------
     site : str
-        Location: margin of a bone, tibial spine, or joint surface (condyle or plateau). Allowed: "medial_femur",
-        "lateral_femur", "medial_tibia", "lateral_tibia", "medial_spine", "lateral_spine", "medial_condyle",
-        "lateral_condyle", "medial_plateau", "lateral_plateau".
+        Location of the osteophyte: bone margin, tibial spine, or joint surface (condyle or plateau). Allowed:
+        "medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia", "medial_spine", "lateral_spine",
+        "medial_condyle", "lateral_condyle", "medial_plateau", "lateral_plateau".
     size_mm : float
-        Height of the osteophyte above the original bone surface, at its farthest point; at most 5 mm on a joint
-        surface. Allowed: 0.2 to 10 mm.
+        Maximum height of the osteophyte above the original bone surface; at most 5 mm on a joint surface. Allowed: 0.2
+        to 10 mm.
     place : float, default 0
-        Position along the margin or across the joint surface: -1 is anterior, 1 posterior. At a margin, 0 is the most
-        medial or lateral point of the bone. Must be 0 on a tibial spine. Allowed: -1 to 1.
+        Position along the margin or across the joint surface: -1 is anterior, 1 is posterior. At a margin, 0 is the
+        most medial or lateral point of the bone. Must be 0 on a tibial spine. Allowed: -1 to 1.
     curve_deg : float, default 0
-        Curvature of the edge towards the joint; negative is away from the joint. Must be 0 on a tibial spine and on a
-        joint surface. Allowed: -45 to 45 degrees.
+        Curvature of the edge towards the joint; negative values curve away from the joint. Must be 0 on a tibial spine
+        and on a joint surface. Allowed: -45 to 45 degrees.
 
     Raises
     ------
@@ -101,7 +102,7 @@ class Osteophyte:
     place: float = 0.0
     curve_deg: float = 0.0
 
-    # Deprecated names, kept for one version.
+    # Deprecated names, available for one more version.
     central = renamed_attribute("is_central")
     tallest_mm = renamed_attribute("max_size_mm")
 
@@ -120,12 +121,12 @@ class Osteophyte:
 
     @property
     def is_central(self) -> bool:
-        """True if the osteophyte is in the middle of a joint surface."""
+        """Whether the osteophyte is in the middle of a joint surface."""
         return self.site in CENTRAL_SITES
 
     @property
     def max_size_mm(self) -> float:
-        """Largest size allowed at the site, in mm; infinite if only the general range of `size_mm` applies."""
+        """Largest osteophyte size allowed at the site, in mm; infinite if the site has no limit of its own."""
         return _MAX_CENTRAL_SIZE_MM if self.is_central else float("inf")
 
     @property
@@ -142,13 +143,14 @@ class Cyst:
     Parameters
     ----------
     site : {"medial_femur", "lateral_femur", "medial_tibia", "lateral_tibia"}
-        Bone and compartment.
+        Bone and compartment of the cyst.
     diameter_mm : float
-        Diameter of the soft interior without the wall. Allowed: 1.5 to 15 mm.
+        Diameter of the soft interior of the cyst, without the wall. Allowed: 1.5 to 15 mm.
     place : float, default 0
-        Position in the compartment from front to back: -1 is anterior, 0 the middle, 1 posterior. Allowed: -1 to 1.
+        Anteroposterior position in the compartment: -1 is anterior, 0 is the middle, 1 is posterior. Allowed: -1 to 1.
     outward : float, default 0.5
-        Position across the compartment: 0 is nearest to the notch, 1 nearest to the margin. Allowed: 0 to 1.
+        Mediolateral position in the compartment: 0 is nearest to the notch, 1 is nearest to the margin. Allowed: 0 to
+        1.
 
     Raises
     ------
@@ -171,7 +173,7 @@ class Cyst:
         check_fields("cyst", self)
 
 
-# Deprecated field name -> current field name.
+# Current field name, keyed by deprecated field name.
 RENAMED_FIELDS = {"jsw_as": "jsw_definition", "grade_read": "reader_grade"}
 
 
@@ -183,11 +185,11 @@ class Knee:
     Parameters
     ----------
     side : {"right", "left"}, default "right"
-        Side of the body; a left knee is the mirror image of a right one in x.
+        Side of the body; a left knee is the mirror image of a right knee in x.
     sex : {"male", "female"}, default "male"
-        Sex, which selects the mean sizes.
+        Sex of the person, which determines the mean sizes of bones and limb.
     stature_mm : float, default 1755
-        Stature of the person; it scales the bones. Allowed: 1400 to 2100 mm.
+        Stature of the person, which scales the bones. Allowed: 1400 to 2100 mm.
     jsw_medial_mm : float, default 5
         Medial joint space width, measured according to jsw_definition. Allowed: 0 to 10 mm.
     jsw_lateral_mm : float, default 5
@@ -195,13 +197,14 @@ class Knee:
     jsw_definition : {"projected", "read"}, default "projected"
         Definition of both joint space widths. "projected": smallest vertical gap between the projected cortical
         contours in the protocol reference. "read": gap that readers measure in the protocol fixed_flexion, from the
-        contour of the femur to the line through the contour landmarks of the tibia. Medially, the line follows the
-        floor of the plateau.
+        femoral contour to the line through the tibial contour landmarks. In the medial compartment, the line follows
+        the floor of the plateau.
     osteophytes : tuple of Osteophyte, default ()
         Osteophytes. Two osteophytes at the same site must differ by at least 0.5 in `Osteophyte.place`.
     subchondral_plate : float, default 1
-        Thickness of the subchondral bone plate relative to a healthy plate, in the sclerotic compartment. This is the
-        narrowed compartment, or the medial one if neither is narrowed. Allowed: 0.5 to 2.5.
+        Thickness of the subchondral bone plate relative to a healthy plate, in the sclerotic compartment. The sclerotic
+        compartment is the narrowed compartment, or the medial compartment if no compartment is narrowed. Allowed: 0.5
+        to 2.5.
     varus_deg : float, default 0
         Angle between the shafts of femur and tibia, relative to the normal valgus of 5 degrees; positive is varus.
         Allowed: -16 to 16 degrees.
@@ -215,28 +218,28 @@ class Knee:
         Scores of the modes of bone shape (``data/shapes.toml``), each -3 to 3 standard deviations from the population
         mean. Missing scores at the end are 0.
     form_seed : int, default 0
-        Seed of random details that the modes of bone shape do not describe: position of spines and notch, curvature of
-        the lateral plateau, position of skin folds. Allowed: 0 to 2**63 - 1.
+        Seed of random details that are not part of the bone shape modes: positions of spines and notch, curvature of
+        the lateral plateau, positions of skin folds. Allowed: 0 to 2**63 - 1.
     cortex_scale : float, default 1
         Cortical thickness relative to the mean. Allowed: 0.6 to 1.5.
     tibial_slope_deg : float, default 5
         Posterior slope of the tibial plateau. Allowed: -2 to 18 degrees.
     lean_deg : float, default 3
-        Angle of the tibial shaft from the vertical on the radiograph; positive moves the foot medially. Allowed: -15 to
-        15 degrees.
+        Angle between the tibial shaft and the vertical on the radiograph; positive values move the foot medially.
+        Allowed: -15 to 15 degrees.
     fibular_tip_mm : float, default 12
         Distance from the middle of the plateau down to the tip of the fibula. Allowed: 4 to 28 mm.
     insall_salvati : float, default 1.14
-        Insall-Salvati ratio: length of the patellar tendon over length of the patella. Allowed: 0.6 to 1.8.
+        Insall-Salvati ratio: length of the patellar tendon divided by length of the patella. Allowed: 0.6 to 1.8.
     patellar_shift_mm : float, default 3
         Lateral distance from the middle of the femur to the middle of the patella. Allowed: -10 to 15 mm.
     patellar_tilt_deg : float, default 3
-        Rotation of the patella about its long axis; positive moves the lateral edge backwards. Allowed: -15 to 20
+        Rotation of the patella about its long axis; positive values move the lateral edge backwards. Allowed: -15 to 20
         degrees.
     fabella_mm : float, default 0
         Height of the fabella; 0 means no fabella. Allowed: 0 to 15 mm.
     bmi : float, default 27
-        Body mass index of the person; it sets limb_ap_mm and fat_mm where they are None. Allowed: 15 to 50 kg/m2.
+        Body mass index of the person, which determines limb_ap_mm and fat_mm if they are None. Allowed: 15 to 50 kg/m2.
     limb_ap_mm : float, optional
         Anteroposterior thickness of the limb at the joint. None: the mean for BMI and sex, which is 122 mm for men and
         118 mm for women at a BMI of 28.6 and increases by 1.5 mm per kg/m2. Allowed: 90 to 180 mm.
@@ -249,7 +252,7 @@ class Knee:
     bone_density : float, default 1
         Density of the trabecular bone relative to the mean for age and sex. Allowed: 0.4 to 1.8.
     texture_seed : int, default 0
-        Seed of the random trabeculae, cortical unevenness and surface roughness. They do not change when other fields
+        Seed of the random trabeculae, cortical unevenness and surface roughness, which do not change when other fields
         change. Allowed: 0 to 2**63 - 1.
     grade : int, optional
         KL grade for which the knee was sampled. None: Truth.grade is derived from the anatomy. Allowed: 0, 1, 2, 3, 4.
@@ -257,23 +260,23 @@ class Knee:
         Grade table from which the knee was sampled. None: the knee was specified by its fields. Allowed: text of 1 to
         255 characters.
     reader_grade : int, optional
-        KL grade that a simulated reader gives, which may differ by one grade. None: no reader is simulated. Allowed: 0,
-        1, 2, 3, 4.
+        KL grade assigned by a simulated reader, which may differ from the KL grade by one. None: no reader is
+        simulated. Allowed: 0, 1, 2, 3, 4.
     cysts : tuple of Cyst, default ()
         Subchondral cysts, at most 6. Two cysts at the same site must differ by at least 0.5 in `Cyst.place`.
     subluxation_mm : float, default 0
         Displacement of the tibia relative to the femur; positive is lateral. Joint space widths do not change. Allowed:
         -6 to 6 mm.
     notch_growth_mm : float, default 0
-        Bone growth into the intercondylar notch, on its walls, its roof and the eminence; growth on the floors of the
-        plateaus is less. Allowed: 0 to 3 mm.
+        Bone growth into the intercondylar notch, on notch walls, notch roof and eminence; the plateau floors grow less.
+        Allowed: 0 to 3 mm.
     effusion_mm : float, default 0
         Additional thickness of capsule, synovium and joint fluid compared with a healthy joint. Allowed: 0 to 10 mm.
     skin_folds : float, default 0
-        Greatest depth of skin folds as a fraction of the thickness of the fat below them; 0 means no folds. Allowed: 0
-        to 0.85.
+        Greatest depth of the skin folds, as a fraction of the thickness of the subcutaneous fat below; 0 means no
+        folds. Allowed: 0 to 0.85.
     mechanical_axis_deg : float, default 5.4
-        Angle from the shaft of the femur to its mechanical axis, which ends at the centre of the hip. The hip is
+        Angle between the femoral shaft and the mechanical axis of the femur, which ends at the hip centre. The hip is
         outside the image, so only the label hip_knee_ankle_deg depends on this angle. Allowed: 1 to 9 degrees.
 
     Raises
@@ -330,7 +333,7 @@ class Knee:
     skin_folds: float = 0.0
     mechanical_axis_deg: float = 5.4
 
-    # Deprecated names, kept for one version.
+    # Deprecated names, available for one more version.
     jsw_as = renamed_attribute("jsw_definition")
     grade_read = renamed_attribute("reader_grade")
 
@@ -355,7 +358,7 @@ class Knee:
         return "lateral" if self.jsw_medial_mm - self.jsw_lateral_mm > _CLEAR_DIFFERENCE_MM else "medial"
 
 
-# Name of a `Knee` field with a tuple of entries -> dataclass of the entries.
+# Dataclass of the tuple entries, keyed by the name of the `Knee` field that contains the tuple.
 _LIST_FIELDS: dict[str, type[Osteophyte] | type[Cyst]] = {"osteophytes": Osteophyte, "cysts": Cyst}
 
 
@@ -365,18 +368,18 @@ def _require_spacing(name: str, items: Sequence[Osteophyte | Cyst]) -> None:
     for one, other in pairwise(ordered):
         if one.site == other.site and other.place - one.place < MIN_POSITION_SPACING:
             raise InputError(
-                f"{name} at {one.site} must be at least {MIN_POSITION_SPACING:g} apart in place, got places "
+                f"{name} at {one.site} must differ by at least {MIN_POSITION_SPACING:g} in place, got places "
                 f"{one.place:g} and {other.place:g}"
             )
 
 
 def require_shape_scores(scores: Any, modes: Sequence[ShapeMode]) -> tuple[float, ...]:
-    """Check the scores of the modes of bone shape and remove zeros at the end.
+    """Check the scores of the bone shape modes and remove trailing zeros.
 
     Parameters
     ----------
     scores : sequence of float
-        One score per mode, in standard deviations; scores of later modes may be missing.
+        One score per mode, in standard deviations; scores of the last modes may be omitted.
     modes : sequence of ShapeMode
         Modes of the shape model.
 
@@ -390,7 +393,7 @@ def require_shape_scores(scores: Any, modes: Sequence[ShapeMode]) -> tuple[float
     InputError
         If `scores` is not a sequence, is longer than `modes`, or contains a value that is not a number from -3 to 3.
     """
-    scores = scores.tolist() if hasattr(scores, "tolist") else scores  # A numpy array becomes a list.
+    scores = scores.tolist() if hasattr(scores, "tolist") else scores  # Convert a numpy array to a list.
     if not isinstance(scores, tuple | list) or len(scores) > len(modes):
         raise InputError(f"shape must be a sequence of up to {len(modes)} numbers, one per mode, got {scores!r}")
     for mode, score in zip(modes, scores, strict=False):
@@ -402,24 +405,24 @@ def require_shape_scores(scores: Any, modes: Sequence[ShapeMode]) -> tuple[float
 
 
 def knee_from_dict(table: Mapping[str, Any], source_name: str = "knee") -> Knee:
-    """Construct a knee from a mapping of its fields, as TOML or JSON gives it.
+    """Construct a knee from a mapping of its fields, such as a parsed TOML or JSON file.
 
     Parameters
     ----------
     table : mapping of str to object
-        Field and value; osteophytes and cysts are lists of tables.
+        Values keyed by field name; osteophytes and cysts are lists of tables.
     source_name : str, default "knee"
         Name of the file or object, shown at the start of error messages.
 
     Returns
     -------
     Knee
-        The knee.
+        Constructed and checked knee.
 
     Raises
     ------
     InputError
-        If a field is misspelt or a value is not allowed.
+        If a field name is unknown or a value is not allowed.
     """
     table = update_field_names(table, RENAMED_FIELDS, source_name)
     for name, kind in _LIST_FIELDS.items():
@@ -432,17 +435,17 @@ def knee_from_dict(table: Mapping[str, Any], source_name: str = "knee") -> Knee:
 
 
 def knee_to_dict(knee: Knee) -> dict[str, Any]:
-    """Convert a knee to a JSON-ready mapping, which `knee_from_dict` reads.
+    """Convert a knee to a JSON-compatible mapping, which `knee_from_dict` converts back.
 
     Parameters
     ----------
     knee : Knee
-        The knee.
+        Knee to convert.
 
     Returns
     -------
     dict of str to object
-        Field and value; osteophytes and cysts are lists of tables.
+        Values keyed by field name; osteophytes and cysts are lists of tables.
     """
     return {
         **asdict(knee),

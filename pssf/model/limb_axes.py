@@ -1,34 +1,36 @@
-"""Angles and ratios of the limb, as they are measured on radiographs."""
+"""Compute limb angles and length ratios, with the definitions used on radiographs."""
 
 from ..data.anatomy.bone_tables import FemurShape
 from .knee import Knee
 
-# Lateral angle between the axes of femur and tibia in a straight leg, in degrees.
+# Lateral angle between the femoral and tibial axes of a straight leg, in degrees.
 STRAIGHT_LEG_DEG = 180.0
 
 
 def compute_alignment(knee: Knee, femur: FemurShape) -> dict[str, float]:
-    """Compute the alignment angles and the ratios of a limb, as they are measured on radiographs of a straight leg.
+    """Compute the alignment angles and length ratios that a radiograph of a straight leg would show.
 
     Parameters
     ----------
     knee : Knee
-        The knee.
+        Knee whose limb is measured.
     femur : FemurShape
-        Femur of the template anatomy; its `valgus_deg` is the normal valgus angle between the shafts.
+        Femur of the template anatomy; `FemurShape.valgus_deg` is the normal valgus angle between the femoral and tibial
+        shafts.
 
     Returns
     -------
     dict of str to float
-        ``femorotibial_deg`` is the lateral angle between the shafts of femur and tibia. ``hip_knee_ankle_deg`` is the
-        lateral angle between the mechanical axes. Both are 180 for a straight leg and larger in varus.
-        ``tibial_slope_deg`` is the mean posterior slope of both plateaus. ``insall_salvati`` is `Knee.insall_salvati`.
+        ``femorotibial_deg`` is the lateral angle between the femoral and tibial shafts. ``hip_knee_ankle_deg`` is the
+        lateral angle between the mechanical axes. Both angles are 180 for a straight leg and larger in varus.
+        ``tibial_slope_deg`` is the mean posterior slope of the medial and lateral plateaus. ``insall_salvati`` is
+        `Knee.insall_salvati`.
 
     Notes
     -----
-    The mechanical axis of the femur differs from its shaft by `Knee.mechanical_axis_deg`. The mechanical axis of the
-    tibia is its shaft. The hip-knee-ankle angle of the Osteoarthritis Initiative is 180 minus ``hip_knee_ankle_deg``,
-    so it is negative in varus.
+    The angle between the mechanical axis and the shaft of the femur is `Knee.mechanical_axis_deg`. The mechanical axis
+    of the tibia is the tibial shaft. The Osteoarthritis Initiative defines the hip-knee-ankle angle as 180 minus
+    ``hip_knee_ankle_deg``, which is negative in varus.
     """
     femorotibial_deg = STRAIGHT_LEG_DEG - femur.valgus_deg + knee.varus_deg
     return {

@@ -1,4 +1,4 @@
-"""OARSI grades of a knee, under the variable names of the Osteoarthritis Initiative."""
+"""Compute the OARSI grades of a knee, with the variable names of the Osteoarthritis Initiative."""
 
 from collections.abc import Mapping
 
@@ -8,7 +8,7 @@ from ..data.table_records import Triple
 from .kellgren_lawrence import kl_grade, narrowing_fraction
 from .knee import Knee
 
-# Letters of bones and of compartments in the variable names of the Osteoarthritis Initiative.
+# Letters for bones and compartments in the variable names of the Osteoarthritis Initiative.
 _BONES = {"femur": "F", "tibia": "T"}
 _SIDES = {"medial": "M", "lateral": "L"}
 
@@ -21,27 +21,28 @@ def compute_oarsi_grades(
     Parameters
     ----------
     knee : Knee
-        The knee.
+        Knee to grade.
     attrition_mm : mapping of str to float
-        Depth worn off the medial and the lateral plateau, in mm, as in `Truth.attrition_mm`. Missing compartments get
-        no attrition grade.
+        Attrition depth of the medial and lateral plateau, in mm, as in `Truth.attrition_mm`. A compartment without a
+        depth gets no attrition grade.
     cuts : OarsiThresholds
-        Lowest values of grades 1, 2 and 3.
+        Lower thresholds of grades 1, 2 and 3 for every sign.
     trabecular_bone : TrabecularBone
-        Table with the fraction of the plate thickening that each bone and compartment shows.
+        Trabecular bone table, which specifies the fraction of `Knee.subchondral_plate` thickening in each bone and
+        compartment.
 
     Returns
     -------
     dict of str to int
-        ``XRKL`` is the KL grade. Grades 0 to 3: ``XROS..`` osteophytes, ``XRJS.`` joint space narrowing, ``XRSC..``
-        sclerosis, ``XRATT.`` attrition. ``XRCY..`` is 1 with a subchondral cyst and 0 without. Dots are letters: F for
-        femur or T for tibia, and M for medial or L for lateral.
+        ``XRKL`` is the KL grade. ``XROS..`` (osteophytes), ``XRJS.`` (joint space narrowing), ``XRSC..`` (sclerosis)
+        and ``XRATT.`` (attrition) are grades 0 to 3. ``XRCY..`` is 1 with a subchondral cyst and 0 without. Each dot
+        represents a letter: F for femur or T for tibia, and M for medial or L for lateral.
 
     Notes
     -----
-    The grades describe the anatomy, not what is visible under a protocol. The thresholds are in ``data/oarsi.toml``.
-    The OARSI atlas defines grades by pictures, so the thresholds are assumed. ``XRKL`` is the result of
-    `kellgren_lawrence.kl_grade`.
+    The grades describe the anatomy, not its visibility on a radiograph. The thresholds are in ``data/oarsi.toml``.
+    The OARSI atlas defines grades by example radiographs, so the numerical thresholds are assumed. ``XRKL`` is the
+    result of `kellgren_lawrence.kl_grade`.
     """
     grades = {"XRKL": kl_grade(knee, cuts)}
     for bone, letter in _BONES.items():

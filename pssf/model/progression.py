@@ -1,4 +1,4 @@
-"""Progression: the same knee some years later, and the true change between two visits."""
+"""Simulate the progression of osteoarthritis in a knee, and compute the true change between two visits."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -29,7 +29,7 @@ from .knee import Knee, Osteophyte, other_compartment
 
 # Longest time that `progress` simulates, in years.
 _MAX_YEARS = 40
-# Fields whose difference `true_change` reports.
+# Knee fields whose change `true_change` reports.
 _CHANGING_FIELDS = (
     "jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg", "notch_growth_mm", "effusion_mm", "age_years",
 )  # fmt: skip
@@ -37,11 +37,11 @@ _CHANGING_FIELDS = (
 
 @check_keywords()
 def progress(knee: Knee, years: float, rng: RNGLike) -> Knee:
-    """Simulate the progression of osteoarthritis in a knee over some years, without any improvement.
+    """Simulate the progression of osteoarthritis in a knee over a number of years, without improvement.
 
     No joint space becomes wider and no osteophyte becomes smaller. Bone shape, size, pose, limb, cysts and texture seed
     do not change. The annual rates depend on the seed and not on `years`. Calls with the same seed and different
-    `years` therefore give visits of one consistent course.
+    `years` therefore simulate several visits of one disease course.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def progress(knee: Knee, years: float, rng: RNGLike) -> Knee:
     Returns
     -------
     Knee
-        Knee at the later visit. Its `grade` is None if the `grade` of the first knee is None.
+        Knee at the later visit. `Knee.grade` is None if it is None at the first visit.
 
     Raises
     ------
@@ -65,7 +65,7 @@ def progress(knee: Knee, years: float, rng: RNGLike) -> Knee:
 
     Notes
     -----
-    Rates per year and KL grade, and their sources, are in ``data/progress.toml``.
+    ``data/progress.toml`` contains the annual rates of each KL grade and their sources.
 
     Examples
     --------
@@ -110,7 +110,7 @@ def progress(knee: Knee, years: float, rng: RNGLike) -> Knee:
         return later
     low, high = allowed_grades(later, cuts)
     stepped = knee.grade + _derive_structural_grade(later, law.step, cuts, definite_mm) - stage
-    # The grade never decreases, because the model has no improvement.
+    # The grade never decreases, because the model does not simulate improvement.
     grade = min(MAX_GRADE, max(knee.grade, low, min(stepped, high)))
     read = None if knee.reader_grade is None else min(MAX_GRADE, knee.reader_grade + grade - knee.grade)
     return replace(later, grade=grade, reader_grade=read)
@@ -122,15 +122,14 @@ def true_change(before: Knee, after: Knee) -> dict[str, float]:
     Parameters
     ----------
     before, after : Knee
-        The same knee at the first and at the second visit.
+        Knee at the first visit, and the same knee at the second visit.
 
     Returns
     -------
     dict of str to float
-        Value at the second visit minus value at the first one, per field that `progress` changes: joint spaces,
-        subchondral bone plate, varus, growth into the notch, effusion and age. The mapping also has the changes
-        ``largest_osteophyte_mm`` and ``osteophyte_count``, and ``grade_change`` in KL grades if both knees have a
-        grade.
+        Value at the second visit minus value at the first visit, keyed by field: joint space widths, subchondral bone
+        plate, varus, notch growth, effusion and age. ``largest_osteophyte_mm`` and ``osteophyte_count`` are changes of
+        all osteophytes. ``grade_change`` is the change of the KL grade if both knees have a grade.
 
     Raises
     ------
@@ -158,11 +157,11 @@ def true_change(before: Knee, after: Knee) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class _ProgressionRates:
-    """Sampled annual rates of one knee.
+    """Sampled annual progression rates of one knee.
 
-    `growth_factors` has shape (osteophytes + 4,): one factor of the growth rate per existing osteophyte, then one per
-    joint margin. `onset_years` has shape (4,): the time at which an osteophyte appears at each margin. It is used only
-    at margins without an osteophyte.
+    `growth_factors` has shape (osteophytes + 4,): first one growth-rate factor per existing osteophyte, then one factor
+    per joint margin. `onset_years` has shape (4,): the time at which a new osteophyte appears at each margin. The time
+    is used only if the margin has no osteophyte at the first visit.
     """
 
     narrowing_side: str
@@ -178,7 +177,7 @@ class _ProgressionRates:
 def _sample_progression_rates(
     law: ProgressionRates, knee: Knee, grade: int, lost_fraction: dict[str, float], rng: np.random.Generator
 ) -> _ProgressionRates:
-    """Sample the annual rates of a knee of a KL grade.
+    """Sample the annual progression rates of a knee, which depend on the KL grade.
 
     `lost_fraction` is the fraction of the healthy joint space that each compartment has lost at the first visit. From
     the KL grade `narrowed_side_known_from_grade` on, the compartment with the greater loss continues to narrow.
@@ -199,7 +198,7 @@ def _sample_progression_rates(
 
 
 def _sample_gamma(law: Pair, rng: np.random.Generator) -> float:
-    """Sample a gamma distribution with a given mean and standard deviation."""
+    """Sample a gamma distribution that is specified by its mean and standard deviation."""
     mean, sd = law
     return float(rng.gamma((mean / sd) ** 2, sd**2 / mean))
 
@@ -207,7 +206,7 @@ def _sample_gamma(law: Pair, rng: np.random.Generator) -> float:
 def _grow_osteophytes(
     knee: Knee, years: float, course: _ProgressionRates, law: ProgressionRates
 ) -> tuple[Osteophyte, ...]:
-    """Enlarge the existing osteophytes and add those that have appeared since the first visit."""
+    """Enlarge the existing osteophytes and add osteophytes that have appeared since the first visit."""
     grown = []
     for one, factor in zip(knee.osteophytes, course.growth_factors, strict=False):
         size_mm = min(law.most_mm, one.max_size_mm, one.size_mm + years * course.osteophyte_growth_mm_per_year * factor)
@@ -221,12 +220,12 @@ def _grow_osteophytes(
 
 
 def _increase_up_to(value: float, increase: float, maximum: float) -> float:
-    """Add an increase to a value up to a maximum; a value already above the maximum does not change."""
+    """Increase a value, but not above a maximum; do not change a value that already exceeds the maximum."""
     return round(max(value, min(maximum, value + increase)), 4)
 
 
 def _derive_structural_grade(knee: Knee, step: ProgressionThresholds, cuts: OarsiThresholds, definite_mm: float) -> int:
-    """Derive the KL grade of a knee, where osteophytes of at least `definite_mm` are definite."""
+    """Derive the KL grade of a knee; count osteophytes of at least `definite_mm` as definite."""
     largest = largest_osteophyte_mm(knee)
     if largest < definite_mm:
         return int(largest >= step.doubtful_mm)
@@ -240,7 +239,7 @@ def _jsw_mm(knee: Knee, side: str) -> float:
 
 
 def _clip_to_range(value: float, law: FieldSpec) -> float:
-    """Clip a value to the range of its field."""
+    """Clip a field value to the allowed range of the field."""
     bounds = law.range
     assert bounds is not None
     return round(min(max(value, bounds[0]), bounds[1]), 4)

@@ -1,4 +1,4 @@
-"""Protocol of a radiograph: technique, geometry, detector, and the enabled stages of the simulation."""
+"""Define the protocol of a radiograph: exposure technique, geometry, detector and enabled simulation stages."""
 
 import math
 from dataclasses import asdict, dataclass, fields, replace
@@ -10,12 +10,12 @@ from ..core.keyword_arguments import check_keywords, renamed_attribute, update_f
 from ..data.data_files import read_protocol_fields
 from ..data.knees.field_definitions import check_fields
 
-# Rotation of a leg per projection: axis (0 is x, 2 is z) and angle in degrees, before the knee is mirrored in y. ML and
-# LM turn the lateral side of a right leg to the detector, and axial turns the foot to the detector.
+# Rotation of the leg for each projection: axis (0 is x, 2 is z) and angle in degrees, before the knee is mirrored in y.
+# ML and LM turn the lateral side of a right leg to the detector, and axial turns the foot to the detector.
 _VIEW_ROTATIONS = {"AP": (2, 0.0), "PA": (2, 0.0), "ML": (2, -90.0), "LM": (2, -90.0), "axial": (0, -90.0)}
 
 # Largest tangent of the angle from the central ray to the edge of the field, as a fraction of the tangent of the anode
-# angle. Assumed: closer to the cut-off, the intensity is below two fifths of the intensity on the central ray.
+# angle. The limit is assumed: nearer to the anode cut-off, the intensity is below two fifths of its central value.
 _MAX_CUT_OFF_FRACTION = 0.95
 
 
@@ -28,13 +28,15 @@ class Posture:
     projection : {"AP", "PA", "ML", "LM", "axial"}, default "AP"
         Direction of the beam, as in `Protocol`.
     flexion_deg : float, default 0
-        Flexion added to the knee's own flexion, in degrees.
+        Flexion by positioning, in degrees, which is added to `Knee.flexion_deg`.
     tibia_forward_deg : float, default 0
         Forward lean of the tibia, in degrees, as in `Protocol`.
     rotation_deg : float, default 0
-        Rotation about the long axis added to the knee's own rotation, in degrees; positive is internal.
+        Rotation about the long axis by positioning, in degrees, which is added to `Knee.rotation_deg`; positive is
+        internal.
     tilt_deg : float, default 0
-        Lean in the plane of the radiograph added to the knee's own lean, in degrees; positive moves the foot medially.
+        Lean in the plane of the radiograph by positioning, in degrees, which is added to `Knee.lean_deg`; positive
+        moves the foot medially.
     """
 
     projection: str = "AP"
@@ -45,7 +47,7 @@ class Posture:
 
     @property
     def mirror_y(self) -> float:
-        """Factor by which y is multiplied: -1 for projections that mirror the knee in y (PA, LM and axial), else 1."""
+        """Factor for y coordinates: -1 for projections that mirror the knee in y (PA, LM and axial), else 1."""
         return -1.0 if self.projection in ("PA", "LM", "axial") else 1.0
 
     @property
@@ -55,7 +57,7 @@ class Posture:
 
     @property
     def is_frontal(self) -> bool:
-        """True for AP and PA, which show the tibiofemoral joint space in the frontal plane."""
+        """Whether the projection is AP or PA, which show the tibiofemoral joint space in the frontal plane."""
         return self.view_rotation == _VIEW_ROTATIONS["AP"]
 
 
@@ -66,7 +68,7 @@ RENAMED_FIELDS = {"apart_mm": "knee_distance_mm"}
 @check_keywords(**RENAMED_FIELDS)
 @dataclass(frozen=True, kw_only=True)
 class Protocol:
-    """Technique, geometry and detector of a radiograph, and the enabled stages of its simulation.
+    """Exposure technique, geometry and detector of a radiograph, and the enabled simulation stages.
 
     Parameters
     ----------
@@ -75,13 +77,13 @@ class Protocol:
     tube_kv : float
         Peak tube voltage. Allowed: 40 to 120 kV.
     mas : float
-        Tube current times exposure time; 0 gives no exposure. Allowed: 0 to 500 mAs.
+        Product of tube current and exposure time; 0 gives no exposure. Allowed: 0 to 500 mAs.
     filtration_mm_al : float
-        Total filtration. Allowed: 0.5 to 40 mm Al.
+        Total filtration of the beam. Allowed: 0.5 to 40 mm Al.
     anode_angle_deg : float
         Angle of the tungsten anode. Allowed: 6 to 22 degrees.
     focal_spot_mm : float
-        Side of the square focal spot; 0 is a point source without focal-spot blur. Allowed: 0 to 3 mm.
+        Side length of the square focal spot; 0 is a point source without focal-spot blur. Allowed: 0 to 3 mm.
     sdd_mm : float
         Distance from the source to the detector. Allowed: 500 to 3000 mm.
     sod_mm : float
@@ -90,35 +92,35 @@ class Protocol:
         Rotation of the source about the x axis, relative to the direction set by beam_along; positive angles point the
         beam caudally. Allowed: -30 to 30 degrees.
     rows : int
-        Rows of the detector. Allowed: 1 to 8192 pixels.
+        Number of detector rows. Allowed: 1 to 8192 pixels.
     cols : int
-        Columns of the detector. Allowed: 1 to 8192 pixels.
+        Number of detector columns. Allowed: 1 to 8192 pixels.
     pixel_mm : float
         Pixel pitch of the detector. Allowed: 0.001 to 50 mm.
     mono_kev : float, optional
         Photon energy of a monochromatic beam with 1e6 photons per mm2 and mAs at 1 m, which replaces the tube spectrum.
-        None: the tube spectrum. Allowed: 5 to 150 keV.
+        None: the tube spectrum is used. Allowed: 5 to 150 keV.
     heel : {"none", "anode_proximal", "anode_distal"}, default "none"
         Heel effect: the intensity decreases towards the anode, which is at the proximal or the distal end.
     projection : {"AP", "PA", "ML", "LM", "axial"}, default "AP"
-        Direction of the beam. The detector is behind the knee (AP), in front of it (PA), lateral (ML), medial (LM) or
-        distal to it (axial).
+        Direction of the beam. The detector is behind the knee (AP), in front of the knee (PA), or lateral (ML), medial
+        (LM) or distal (axial) to the knee.
     flexion_deg : float, default 0
-        Flexion added by positioning to the knee's own flexion. Allowed: 0 to 60 degrees.
+        Flexion that positioning adds to the flexion of the knee. Allowed: 0 to 60 degrees.
     tibia_forward_deg : float, default 0
         Forward lean of the tibia from the vertical, seen from the side. In axial projection: angle between tibia and
-        beam; positive moves the foot backwards. Allowed: -15 to 45 degrees.
+        beam; positive values move the foot backwards. Allowed: -15 to 45 degrees.
     rotation_deg : float, default 0
-        Rotation of the leg about its long axis, added by positioning to the knee's own rotation; positive is internal.
+        Rotation of the leg about its long axis that positioning adds to the rotation of the knee; positive is internal.
         Allowed: -20 to 20 degrees.
     tilt_deg : float, default 0
-        Lean of the leg in the plane of the radiograph, added by positioning to the knee's own lean; positive moves the
-        foot medially. Allowed: -15 to 15 degrees.
+        Lean of the leg in the plane of the radiograph that positioning adds to the lean of the knee; positive values
+        move the foot medially. Allowed: -15 to 15 degrees.
     knee_distance_mm : float, default 0
         Distance between the two knees of a bilateral radiograph; 0 images one knee. Allowed: 0 to 350 mm.
     beam_along : {"horizontal", "medial_plateau"}, default "horizontal"
-        Reference direction of the beam. "medial_plateau" aligns it with the medial plateau of each knee, as under
-        fluoroscopy: the front and back margins of the plateau coincide.
+        Reference direction of the beam. "medial_plateau" aligns the beam with the medial plateau of each knee, as under
+        fluoroscopy: the anterior and posterior plateau margins coincide.
     centre_x_mm : float, default 0
         Horizontal distance from the middle of the knee to the central ray, in the joint plane; positive is to the right
         of the radiograph. Allowed: -150 to 150 mm.
@@ -126,24 +128,24 @@ class Protocol:
         Vertical distance from the joint line to the central ray, in the joint plane; positive is upwards. Allowed: -150
         to 150 mm.
     field_width_mm : float, default 0
-        Width of the collimated field on the detector about the central ray; 0 irradiates the detector up to its edge.
+        Width of the collimated field on the detector, centred on the central ray; 0 irradiates the full detector width.
         Allowed: 0 to 3000 mm.
     field_height_mm : float, default 0
-        Height of the collimated field on the detector about the central ray; 0 irradiates the detector up to its edge.
-        Allowed: 0 to 3000 mm.
+        Height of the collimated field on the detector, centred on the central ray; 0 irradiates the full detector
+        height. Allowed: 0 to 3000 mm.
     marker : {"none", "R", "L"}, default "none"
-        Lead letter on the cover of the detector: R on the left of the radiograph, L on the right.
+        Lead marker on the detector cover: letter R on the left, or letter L on the right of the radiograph.
     texture : {"trabecular", "none"}, default "trabecular"
         Trabecular texture. "none" gives the trabecular bone a uniform density.
     focal_spot : {"blur", "sampled"}, default "blur"
-        Model of focal-spot blur. "blur" applies the blur of the joint plane to the whole image. "sampled" casts rays
+        Model of focal-spot blur. "blur" applies the blur in the joint plane to the entire image. "sampled" casts rays
         from 3 x 3 points of the focal spot, which is correct at every depth.
     scatter : {"kernel", "monte_carlo", "none"}, default "kernel"
         Model of scattered radiation. "kernel" is fast and fitted to Monte Carlo results. "monte_carlo" transports
         photons through the voxels of the scene and takes about 20 s.
     scatter_photons : int, default 20_000_000
-        Number of photons of the model "monte_carlo"; the statistical error decreases with the square root of this
-        number. Allowed: 32 to 1e+12.
+        Number of photons in the scatter model "monte_carlo"; the statistical error decreases with the square root of
+        this number. Allowed: 32 to 1e+12.
     grid_ratio : float, default 0
         Grid ratio of a moving anti-scatter grid: height of the lead strips divided by the distance between them; 0 is
         no grid. Allowed: 0 to 20.
@@ -151,7 +153,8 @@ class Protocol:
         Number of grid strips per cm; strips are 0.05 mm of lead with aluminium between them. Allowed: 20 to 120
         lines/cm.
     detector : {"csi", "gos"}, default "csi"
-        Detector type. "csi" is a caesium iodide flat panel, "gos" a gadolinium oxysulphide screen with less mass.
+        Detector type. "csi" is a caesium iodide flat panel, and "gos" is a gadolinium oxysulphide screen with less mass
+        per area.
     detector_blur : {"mtf", "none"}, default "mtf"
         Detector blur. "mtf" applies the presampled modulation transfer function (MTF) of the detector.
     dead_pixels : float, default 0
@@ -168,8 +171,8 @@ class Protocol:
     Notes
     -----
     The central ray passes through the origin of the knee frame, shifted by `centre_x_mm` and `centre_z_mm`;
-    `geometry.view.resolve_view` gives the positions of source and detector. ``pssf protocols`` lists the fields with
-    usual values and sources. A stage that is switched off takes no time.
+    `geometry.view.resolve_view` computes the positions of source and detector. ``pssf protocols`` lists the fields with
+    typical values and sources. A disabled simulation stage takes no time.
 
     Examples
     --------
@@ -216,7 +219,7 @@ class Protocol:
     dead_pixels: float = 0.0
     noise: str = "quantum"
 
-    # Deprecated names, kept for one version.
+    # Deprecated names, available for one more version.
     apart_mm = renamed_attribute("knee_distance_mm")
 
     def __post_init__(self) -> None:
@@ -229,37 +232,37 @@ class Protocol:
             self._check_heel()
 
     def _check_lateral_or_axial(self) -> None:
-        """Check that fields for frontal views (AP and PA) have their defaults."""
+        """Check that fields that apply only to frontal views (AP and PA) have their default values."""
         if self.beam_along != "horizontal":
             raise InputError(
                 f"beam_along must be 'horizontal' with projection = {self.projection!r}, got {self.beam_along!r}: only "
-                "in AP and PA the margins of the plateau are seen edge on"
+                "in AP and PA are the plateau margins edge-on to the beam"
             )
         if self.knee_distance_mm and self.projection != "axial":
             raise InputError(
                 f"knee_distance_mm must be 0 with projection = {self.projection!r}, got {self.knee_distance_mm:g} mm: "
-                "one knee would hide the other; use AP, PA or axial for two knees"
+                "one knee would cover the other; use AP, PA or axial for two knees"
             )
 
     def _check_heel(self) -> None:
-        """Check that the anode does not cut off the field, where the intensity would fall to zero."""
+        """Check that the entire field is within the anode cut-off, beyond which the intensity is zero."""
         least_deg = math.degrees(math.atan(self.field_edge_tangent / _MAX_CUT_OFF_FRACTION))
         if self.anode_angle_deg < least_deg:
             raise InputError(
                 f"anode_angle_deg must be at least {math.ceil(10 * least_deg) / 10:g} deg with heel = {self.heel!r}, "
-                f"got {self.anode_angle_deg:g} deg: the anode cuts off the field; give field_height_mm, or raise sdd_mm"
+                f"got {self.anode_angle_deg:g} deg: the anode cuts off the field; set field_height_mm or raise sdd_mm"
             )
 
     @property
     def field_edge_tangent(self) -> float:
-        """Tangent of the angle from the central ray to the upper and lower edge of the field."""
+        """Tangent of the angle between the central ray and the upper or lower edge of the field."""
         whole_mm = self.rows * self.pixel_mm
-        # Half of the penumbra is outside the collimated field on each side; this half is less than 15 mm wide.
+        # The field includes the outer half of the penumbra on both sides, which is less than 15 mm wide.
         lit_mm = min(whole_mm, 1.1 * self.field_height_mm + 30.0) if self.field_height_mm > 0 else whole_mm
         return lit_mm / 2 / self.sdd_mm
 
     def resample(self, matrix: int) -> "Protocol":
-        """Change the number of pixels and the pixel pitch, and keep the size of the detector.
+        """Change the number of pixels and the pixel pitch without changing the detector size.
 
         Parameters
         ----------
@@ -291,7 +294,7 @@ class Protocol:
 
     @property
     def posture(self) -> Posture:
-        """Posture of the leg that the protocol sets."""
+        """Leg posture that the protocol specifies."""
         return Posture(**{field.name: getattr(self, field.name) for field in fields(Posture)})
 
 
@@ -301,28 +304,28 @@ def protocol_from_dict(table: dict[str, Any], source_name: str) -> Protocol:
     Parameters
     ----------
     table : dict of str to object
-        Field and value, as read from a TOML or JSON file.
+        Values keyed by field name, such as a parsed TOML or JSON file.
     source_name : str
         Name of the file or object, shown at the start of error messages.
 
     Returns
     -------
     Protocol
-        The protocol.
+        Constructed and checked protocol.
 
     Raises
     ------
     InputError
-        If a field is misspelt or missing, or a value is not allowed.
+        If a field name is unknown or missing, or a value is not allowed.
     """
     return build_from_table(Protocol, update_field_names(table, RENAMED_FIELDS, source_name), source_name)
 
 
 def load_protocol(name_or_path: str | PathLike[str]) -> Protocol:
-    """Load a protocol of the package by name, or from a TOML file by path.
+    """Load a built-in protocol by name, or a user protocol from a TOML file.
 
-    A file may name another protocol as its ``base``, by name or by a path relative to the file. It then lists only the
-    fields that differ.
+    The entry ``base`` of a file is the name or the relative path of another protocol. A file with a ``base`` specifies
+    only the fields that differ from the base protocol.
 
     Parameters
     ----------
@@ -332,13 +335,13 @@ def load_protocol(name_or_path: str | PathLike[str]) -> Protocol:
     Returns
     -------
     Protocol
-        The protocol.
+        Constructed and checked protocol.
 
     Raises
     ------
     InputError
-        If the name is unknown, the file cannot be read, a field is misspelt or missing, a value is not allowed, or the
-        chain of ``base`` files contains a loop.
+        If the name is unknown, the file cannot be read, a field name is unknown or missing, a value is not allowed, or
+        the chain of ``base`` files contains a loop.
 
     Examples
     --------
@@ -351,16 +354,16 @@ def load_protocol(name_or_path: str | PathLike[str]) -> Protocol:
 
 
 def protocol_to_dict(protocol: Protocol) -> dict[str, Any]:
-    """Convert a protocol to a JSON-ready mapping, which `protocol_from_dict` reads.
+    """Convert a protocol to a JSON-compatible mapping, which `protocol_from_dict` converts back.
 
     Parameters
     ----------
     protocol : Protocol
-        The protocol.
+        Protocol to convert.
 
     Returns
     -------
     dict of str to object
-        Field and value.
+        Values keyed by field name.
     """
     return asdict(protocol)

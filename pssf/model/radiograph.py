@@ -1,4 +1,4 @@
-"""Radiograph and Truth: pixels, labels and all parameters of a simulated radiograph."""
+"""Define `Radiograph` and `Truth`: the pixels, labels and all parameters of a simulated radiograph."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -21,42 +21,43 @@ class Truth:
     Attributes
     ----------
     jsw_medial_mm : float or None
-        Minimum medial joint space width (JSW) on the radiograph, in mm. It is measured between the projected contours,
-        according to `Knee.jsw_definition`, and scaled to the joint plane. It is negative where the contours overlap,
-        and None in a lateral or axial view. The specified JSW is `Knee.jsw_medial_mm`.
+        Minimum medial joint space width (JSW) on the radiograph, in mm. The JSW is measured between the projected
+        contours according to `Knee.jsw_definition`, and scaled to the joint plane. It is negative if the contours
+        overlap, and None in a lateral or axial view. `Knee.jsw_medial_mm` is the specified JSW, which may differ.
     jsw_lateral_mm : float or None
-        Minimum lateral joint space width on the radiograph, in mm, with the same definition.
+        Minimum lateral JSW on the radiograph, in mm, defined as for the medial compartment.
     landmarks_px : mapping of str to (row, column) pair of float
-        Landmarks by name; see Notes.
+        Landmark positions keyed by landmark name; see Notes.
     grade : int or None
-        KL grade for which the knee was sampled, or the grade derived from its anatomy.
+        `Knee.grade`, or the KL grade derived from the anatomy if `Knee.grade` is None.
     jsw_at_mm : mapping of float to float
         Joint space width JSW(x) in mm, keyed by the location x. The location is the distance from the medial epicondyle
         as a fraction of the width of the femur. Empty in a lateral or axial view.
     attrition_mm : mapping of str to float
-        Greatest depth worn off the medial and the lateral plateau, in mm. It is computed in the posture in which the
-        joint space is defined, so it does not depend on the posture of the radiograph. It is 0 if the bones do not
-        touch.
+        Greatest attrition depth of the medial and lateral plateau, in mm; 0 if the bones do not touch. The depth is
+        computed in the posture of the JSW definition, so it does not depend on the posture of the radiograph.
     reader_grade : int or None
-        KL grade that a simulated reader gives; None if no reader is simulated.
+        KL grade assigned by a simulated reader; None if no reader is simulated.
     readings : mapping of str to float
-        OARSI grades under the names of the Osteoarthritis Initiative (`model.oarsi_grades`), and angles and ratios of
-        the limb (`model.limb_axes`). A frontal view also has ``inter_margin_mm``: the height of the front margin of the
-        medial plateau above its back margin on the radiograph, scaled to the joint plane.
+        OARSI grades with the variable names of the Osteoarthritis Initiative (`model.oarsi_grades`), and limb angles
+        and length ratios (`model.limb_axes`). A frontal view also has ``inter_margin_mm``: the height of the front
+        margin of the medial plateau above its back margin on the radiograph, scaled to the joint plane.
     acquisition : mapping of str to (float or str)
-        Pose, beam, dose, field and marker of the radiograph (`model.sampling.acquisition.describe_acquisition`).
+        Leg pose, beam, dose, collimated field and side marker of the radiograph
+        (`model.sampling.acquisition.describe_acquisition`).
     masks : mapping of str to (rows, cols) bool array
-        Masks of the bones, osteophytes, cysts and implants, keyed by name. Empty unless the masks are requested from
-        `simulate`.
+        Masks of the bones, osteophytes, cysts and implants, keyed by name. Empty unless `simulate` is called with a
+        request for masks.
 
     Notes
     -----
-    In a frontal view, `landmarks_px` has three groups of landmarks. In their names, ``*`` is ``medial`` or ``lateral``.
-    The first group describes the joint space: ``joint_centre``, ``*_joint_line``, ``*_jsw_femur`` and ``*_jsw_tibia``.
-    The last two are the ends of the minimum joint space. The second group has the widest points of the bones without
-    osteophytes: ``*_condyle_edge``, ``*_epicondyle`` and ``*_plateau_edge``. The third group has the sixteen contour
-    landmarks of `anatomy.outlines.contour_landmarks`, which include osteophytes; ``notch`` is the same as
-    ``notch_top``. A lateral or axial view has other landmarks, which `anatomy.labels.lateral_axial_labels` lists.
+    In a frontal view, `landmarks_px` has three groups of landmarks. In the landmark names, ``*`` represents ``medial``
+    or ``lateral``. The first group describes the joint space: ``joint_centre``, ``*_joint_line``, ``*_jsw_femur`` and
+    ``*_jsw_tibia``. ``*_jsw_femur`` and ``*_jsw_tibia`` are the ends of the minimum joint space. The second group
+    contains the widest points of the bones without osteophytes: ``*_condyle_edge``, ``*_epicondyle`` and
+    ``*_plateau_edge``. The third group contains the sixteen contour landmarks of `anatomy.outlines.contour_landmarks`,
+    which include osteophytes; ``notch`` is the same as ``notch_top``. `anatomy.labels.lateral_axial_labels` lists the
+    landmarks of lateral and axial views.
 
     Examples
     --------
@@ -77,25 +78,25 @@ class Truth:
     acquisition: Mapping[str, float | str] = field(default_factory=dict)
     masks: Mapping[str, NDArray[np.bool_]] = field(default_factory=dict, compare=False, repr=False)
 
-    # Deprecated names, kept for one version.
+    # Deprecated names, available for one more version.
     taking = renamed_attribute("acquisition")
     grade_read = renamed_attribute("reader_grade")
 
     @property
     def medial_joint_line_px(self) -> tuple[float, float]:
-        """Middle of the medial joint space at half the compartment width, as (row, column); frontal views only."""
+        """Centre of the medial joint space at half the compartment width: (row, column) in pixels; frontal only."""
         return self._require_landmark("medial_joint_line")
 
     @property
     def lateral_joint_line_px(self) -> tuple[float, float]:
-        """Middle of the lateral joint space at half the compartment width, as (row, column); frontal views only."""
+        """Centre of the lateral joint space at half the compartment width: (row, column) in pixels; frontal only."""
         return self._require_landmark("lateral_joint_line")
 
     def _require_landmark(self, name: str) -> tuple[float, float]:
         """Return (row, column) of a landmark; raise InputError if the view does not show the landmark."""
         if name not in self.landmarks_px:
             known = ", ".join(self.landmarks_px)
-            raise InputError(f"landmark must be one that this view shows ({known}), got {name!r}")
+            raise InputError(f"landmark must be one of {known} in this view, got {name!r}")
         return self.landmarks_px[name]
 
 
@@ -113,30 +114,29 @@ class Radiograph:
     seed : int
         Seed of the noise.
     knee : Knee or None
-        Parameters of the knee; None for two knees or a user's own scene.
+        Parameters of the knee; None for two knees or a user-defined scene.
     truth : Truth or None
-        Labels; None for two knees or a user's own scene.
+        Labels; None for two knees or a user-defined scene.
     knees : tuple of Knee
-        Right and left knee if they were imaged together, else empty.
+        Right and left knee of a bilateral radiograph, else empty.
     truths : tuple of Truth
-        Labels of the right and the left knee if they were imaged together, else empty.
+        Labels of the right and left knee of a bilateral radiograph, else empty.
     scene : mapping or None
-        Materials and a hash of each mesh of a user's own scene; None for knees.
+        Material and hash of every mesh in a user-defined scene; None for knees.
     surgery : tuple of mapping
-        Implants and resections in the order of surgery, each with step, name, material, size and hash of the mesh. With
-        two knees, the name begins with the knee ("right" or "left"). The meshes are not stored.
+        Implants and resections in surgical order, each with step, name, material, size and mesh hash. For two knees,
+        the name begins with "right" or "left". The meshes are not stored.
     engine : {"embree", "scanline"}
-        Ray caster.
+        Ray caster that computed the path lengths.
     audit : mapping of str to int
-        Counts of rays that the ray caster cast and recomputed (`raycast.path_lengths.Audit`).
+        Numbers of rays that were cast and recomputed (`raycast.path_lengths.Audit`).
     versions : mapping of str to str
         Versions of the package and of the libraries that affect the pixels.
     kept : mapping of str to (rows, cols) float32 array
-        Intermediate maps requested by ``simulate(keep=...)``. "path_mm" is a mapping of material to map. For "scatter"
-        from a Monte Carlo simulation, there is also "scatter_error": the statistical error of the scatter relative to
-        its mean.
+        Intermediate maps requested by ``simulate(keep=...)``. "path_mm" contains one map per material. Monte Carlo
+        "scatter" is accompanied by "scatter_error": the statistical error of the scatter relative to its mean.
     seconds : mapping of str to float
-        Run time per stage, in s.
+        Run time of each simulation stage, in s.
 
     Notes
     -----
@@ -181,10 +181,10 @@ class Radiograph:
 
     @property
     def exposure_index(self) -> float:
-        """Exposure index (IEC 62494-1): 100 times the air kerma, in uGy, of an RQA5 beam with the same signal.
+        """Exposure index (IEC 62494-1): 100 times the air kerma, in uGy, of an RQA5 beam that gives the same signal.
 
-        The signal is the median of the pixels behind the limb. The calibration is exact by construction: an RQA5 beam
-        (70 kV, 23.5 mm of aluminium) with K uGy at the detector gives 100 K.
+        The signal is the median of the pixels behind the limb. By definition, an RQA5 beam (70 kV, 23.5 mm of
+        aluminium) with a detector air kerma of K uGy has the exposure index 100 K.
         """
         return float(_load_function("quality.exposure_index", "compute_exposure_index")(self))
 
@@ -194,11 +194,11 @@ class Radiograph:
         return float(_load_function("quality.exposure_index", "compute_entrance_kerma_ugy")(self))
 
     def show(self) -> None:
-        """Open the radiograph, after display processing, in the image viewer of the system."""
+        """Apply display processing, and open the radiograph in the default image viewer of the system."""
         _load_function("io.pictures", "make_preview")(self).show()
 
     def _repr_png_(self) -> bytes:
-        """Encode the radiograph, after display processing, as PNG for notebooks."""
+        """Apply display processing, and encode the radiograph as PNG for notebooks."""
         return bytes(_load_function("io.pictures", "encode_preview_png")(self))
 
     def __repr__(self) -> str:
@@ -213,5 +213,5 @@ class Radiograph:
 
 
 def _load_function(module: str, name: str) -> Any:
-    """Import a function when it is first used; an import at the top of this module would be circular."""
+    """Import a function at its first use, because an import at the top of this module would be circular."""
     return getattr(import_module(f"..{module}", __package__), name)

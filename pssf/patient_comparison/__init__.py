@@ -1,13 +1,13 @@
-"""Comparison of simulated knees with patients: contour landmarks, bones and radiographs, on one page.
+"""Compare simulated knees with patients: contour landmarks, bones and radiographs.
 
 ``comparison_run``
-    Run the comparison and write its page, tables and figures.
+    Run the comparison and write an HTML page with tables and figures.
 ``contours``
     Compare contour landmarks of simulated knees with published landmarks of patients.
 ``bones``
-    Compare simulated bones with patient bones: surface distances, spread and bone shape.
+    Compare simulated bones with patient bones: surface distances, variability and bone shape.
 ``films``
     Compare simulated with patient radiographs: normalisation, bone outlines, image features and classifiers.
 
-Figures need the optional dependencies ``study``.
+Figures require the optional dependencies ``study``.
 """

@@ -1,4 +1,4 @@
-"""Checkpoints of the patient comparison: saved results of earlier runs in the same folder are reused if valid."""
+"""Save and reuse the results of a patient comparison, so that a repeated run in the same folder resumes."""
 
 import hashlib
 import json
@@ -18,9 +18,10 @@ from ..io.cohort_records import hash_file
 from ..radiomics.features.feature_table import SAVE_INTERVAL_S
 
 Row = dict[str, Any]
-# Callback that receives the number and the values of each finished row.
+# Callback that receives the index and the values of each finished row.
 RowCallback = Callable[[int, Row], None]
-# Subpackages whose code determines the landmarks and bones of sampled knees; their hashes are part of each key.
+# Subpackages whose code determines the landmarks and bones of sampled knees. Every checkpoint key includes their code
+# hashes.
 CODE_PATHS = ("anatomy", "core", "data", "geometry", "model", "patient_comparison")
 
 
@@ -32,7 +33,7 @@ def compute_key(code: Mapping[str, str], *inputs: bytes) -> str:
     code : mapping of str to str
         Hashes from :func:`~pssf.data.code_hash.compute_code_hashes`.
     *inputs : bytes
-        Encoded input data of the result.
+        Encoded input data that determine the result.
 
     Returns
     -------
@@ -51,7 +52,7 @@ def hash_bones(bones: Mapping[str, Iterable[Mesh]]) -> bytes:
     Parameters
     ----------
     bones : mapping of str to iterable of Mesh
-        Meshes of each bone.
+        Meshes of every bone, keyed by bone name.
 
     Returns
     -------
@@ -81,7 +82,7 @@ def save_rows(path: Path, rows: Iterable[Row]) -> None:
 
 
 def load_known_rows(path: Path, key_column: str, text_columns: tuple[str, ...]) -> dict[str, Row]:
-    """Load the rows of a CSV file as a dictionary, keyed by the values of one column.
+    """Load the rows of a CSV file as a dictionary, keyed by the values in one column.
 
     Parameters
     ----------
@@ -95,7 +96,7 @@ def load_known_rows(path: Path, key_column: str, text_columns: tuple[str, ...]) 
     Returns
     -------
     dict of str to dict
-        Rows by value of `key_column`; empty if the file, `key_column` or the column ``key`` does not exist.
+        Rows keyed by the value in `key_column`; empty if the file, `key_column` or the column ``key`` does not exist.
     """
     table = study_results.load_table(path, text_columns)
     if table is None or not {key_column, "key"} <= set(table):
@@ -105,7 +106,7 @@ def load_known_rows(path: Path, key_column: str, text_columns: tuple[str, ...]) 
 
 @dataclass(frozen=True, kw_only=True)
 class RowCheckpoint:
-    """Rows of a CSV file that later runs reuse; rows whose code or inputs have changed are discarded.
+    """CSV file whose rows later runs reuse, except rows whose code or inputs have changed.
 
     Parameters
     ----------
@@ -119,15 +120,15 @@ class RowCheckpoint:
     code: Mapping[str, str]
 
     def complete(self, facts: Sequence[bytes], make: Callable[[list[int], RowCallback], object]) -> list[Row]:
-        """Return one row per input; compute and save the rows that the file does not contain.
+        """Return one row per input; compute and save the rows that are missing in the file.
 
         Parameters
         ----------
         facts : sequence of bytes
-            Encoded inputs of each row.
+            Encoded input of each row.
         make : callable
-            Function that computes missing rows. It receives the numbers of the missing rows, and a callback
-            to call for each finished row.
+            Function that computes missing rows. Its arguments are the indices of the missing rows, and a callback
+            for each finished row.
 
         Returns
         -------
@@ -154,14 +155,14 @@ class RowCheckpoint:
 
 
 class CheckpointManifest(Record, frozen=True):
-    """Key and file hashes of a saved section of the page.
+    """Checkpoint key and file hashes of a saved page section.
 
     Attributes
     ----------
     key : str
-        Checkpoint key of code and inputs.
+        Checkpoint key computed from code and inputs.
     sha256 : dict of str to str
-        SHA-256 hash of each file, by file name.
+        SHA-256 hash of each file, keyed by file name.
     """
 
     key: str
@@ -170,7 +171,7 @@ class CheckpointManifest(Record, frozen=True):
 
 @dataclass(frozen=True, kw_only=True)
 class SectionCheckpoint:
-    """Tables and figure of a page section, computed together and reused by later runs.
+    """Tables and figure of one page section, which later runs reuse if code and inputs have not changed.
 
     Parameters
     ----------
@@ -181,7 +182,7 @@ class SectionCheckpoint:
     tables : tuple of str
         Names of the tables of the section.
     key : str
-        Checkpoint key of code and inputs.
+        Checkpoint key computed from code and inputs.
     """
 
     folder: Path
@@ -190,7 +191,7 @@ class SectionCheckpoint:
     key: str
 
     def complete(self, make: Callable[[], tuple[Sequence[Sequence[Row]], bytes]]) -> tuple[list[list[Row]], bytes]:
-        """Return tables and figure of the section; compute them if the saved files are missing, changed or outdated.
+        """Return the tables and figure; compute them if the saved files are missing, changed or outdated.
 
         Parameters
         ----------
@@ -200,7 +201,7 @@ class SectionCheckpoint:
         Returns
         -------
         list of list of dict
-            Rows of each table; an empty cell is an empty string.
+            Rows of each table; empty cells are empty strings.
         bytes
             PNG figure.
         """
@@ -212,7 +213,7 @@ class SectionCheckpoint:
                 save_rows(path, rows)
             study_results.save_bytes(self._paths[-1], png)
             study_results.save_json(claim, {"key": self.key, "sha256": self._compute_hashes()})
-        # Newly written files are read back, so the first run returns exactly the values that later runs load.
+        # New files are loaded again, so that the first run returns exactly the values that later runs load.
         return [_load_rows(path) for path in self._paths[:-1]], study_results.load_bytes(self._paths[-1])
 
     @property
@@ -227,7 +228,7 @@ class SectionCheckpoint:
 
 
 def _load_rows(path: Path) -> list[Row]:
-    """Load the rows of a CSV file with an empty string in each empty cell."""
+    """Load the rows of a CSV file; empty cells become empty strings."""
     rows = study_results.load_typed_table(path).to_dict("records")
     # NaN is the only value that differs from itself.
     return [{str(name): "" if value != value else value for name, value in row.items()} for row in rows]

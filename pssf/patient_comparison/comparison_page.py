@@ -1,4 +1,4 @@
-"""Self-contained HTML page of the patient comparison, without external files."""
+"""Render the patient comparison as a self-contained HTML page."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -13,7 +13,7 @@ Row = dict[str, Any]
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """One table of the page.
+    """One table of the comparison page.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ class Table:
     caption : str
         Caption that explains the columns.
     max_rows_shown : int, default 60
-        Maximum number of rows on the page; 0 hides the table.
+        Maximum number of displayed rows; 0 hides the table.
     """
 
     name: str
@@ -40,7 +40,7 @@ class Table:
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """One section of the page.
+    """One section of the comparison page.
 
     Parameters
     ----------
@@ -49,13 +49,13 @@ class Section:
     summary : str
         Main result in one line.
     text : str
-        Explanation of measurements and confidence intervals.
+        Text that explains the measurements and confidence intervals.
     tables : tuple of Table
         Tables of the section.
     figures : tuple of Picture
         Figures, displayed below the tables.
     facts : dict
-        Results that are written to the JSON file.
+        Results for the JSON file, keyed by name.
     """
 
     name: str
@@ -67,19 +67,19 @@ class Section:
 
 
 def render_page(sections: Sequence[Section], facts: dict[str, Any]) -> str:
-    """Render the page as HTML.
+    """Render the comparison page as HTML.
 
     Parameters
     ----------
     sections : sequence of Section
         Sections of the page.
     facts : dict
-        Settings of the comparison by name.
+        Settings of the comparison, keyed by name.
 
     Returns
     -------
     str
-        HTML text.
+        Complete HTML page.
     """
     environment = jinja2.Environment(loader=jinja2.PackageLoader(__package__, "."), autoescape=True, trim_blocks=True)
     environment.filters["cell"] = _format_cell

@@ -1,4 +1,4 @@
-"""Run of the patient comparison: compare simulated knees with the given patient data and write a page of results."""
+"""Compare simulated knees with patient data, and write an HTML page with the results."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,7 +16,6 @@ from ..data.anatomy.anatomy_tables import AnatomyTables, load_anatomy_tables
 from ..data.code_hash import compute_code_hashes
 from ..data.imaging.display_table import load_display_processing
 from ..data.table_records import encode_records
-from ..experiment import make_standard_templates
 from ..io import study_results
 from ..io.atomic_write import make_folder
 from ..io.image_kind import is_visible
@@ -28,6 +27,7 @@ from ..model.sampling.acquisition import sample_acquisition
 from ..model.sampling.knee_sampling import KneeDistributions, load_knee_distributions, sample_knees
 from ..radiomics.localisation.crop_template import crop_template
 from ..radiomics.localisation.templates import Template
+from ..standard_templates import make_standard_templates
 from ..study.report.report_elements import Picture
 from .bones import bone_comparison
 from .checkpoint import (
@@ -57,11 +57,11 @@ from .films.film_features import (
 from .films.simulated_films import SIMULATED, match_pixel_sizes, plan_simulated_films, simulate_films
 from .page_texts import BONES_TEXT, CONTOURS_TEXT
 
-# Folder of the simulated radiographs, inside the output folder.
+# Subfolder of the output folder for simulated radiographs.
 _FILMS_FOLDER = "simulated"
-# Text columns of the tables of radiograph records.
+# Columns that contain text in the CSV files of radiograph records.
 _TEXT_COLUMNS = ("sha256", "key", "file", "source", "subject", "status", "side", "polarity", "pixel_from", "reason")
-# Maximum number of simulated knees in the comparison of bones.
+# Maximum number of simulated knees in the bone comparison.
 _MAX_BONE_KNEES = 50
 
 
@@ -74,7 +74,7 @@ class PatientComparison:
     page : Path
         HTML page ``patient_comparison.html``.
     summaries : tuple of str
-        Main result of each section, one line each.
+        Main result of each page section in one line.
     paths : tuple of Path
         Paths of all written files.
     """
@@ -96,9 +96,9 @@ def compare_with_patients(
     grade_table: str = "population",
     seed: int = 0,
 ) -> PatientComparison:
-    """Compare simulated knees with patient data and write a page, tables and figures to a folder.
+    """Compare simulated knees with patient data, and write an HTML page, tables and figures.
 
-    An interrupted comparison resumes if the function is called again with the same folder, see
+    A second call with the same output folder resumes an interrupted comparison, see
     :mod:`~pssf.patient_comparison.checkpoint`.
 
     Parameters
@@ -106,19 +106,20 @@ def compare_with_patients(
     out : str or Path
         Output folder.
     execution : Execution
-        Worker processes, timer and progress display.
+        Number of worker processes, run-time measurement and progress display.
     films : Path or None, default None
-        Folder of patient radiographs, or folder with one subfolder of radiographs per source, see
+        Folder with patient radiographs, or with one subfolder per source of patient radiographs, see
         :func:`~pssf.io.patients.patient_radiographs.list_films`. None skips the comparison of radiographs.
     bones_folder : Path or None, default None
-        Folder of patient bones, see :func:`~pssf.io.meshes.bone_folder.read_bones`. None skips the comparison of bones.
+        Folder with patient bones, see :func:`~pssf.io.meshes.bone_folder.read_bones`. None skips the comparison of
+        bones.
     cohort : Path or None, default None
-        Cohort folder whose radiographs under `protocol` provide the simulated contours. If None, contours come from the
-        simulated radiographs of this comparison, or from newly sampled knees if `films` is None.
+        Cohort folder with radiographs of `protocol`, from which the simulated contours are loaded. None uses the
+        radiographs simulated for this comparison, or newly sampled knees if `films` is None.
     protocol : str, default "reference"
-        Name or path of the protocol. Each simulated radiograph has a sampled acquisition under this protocol.
+        Name or path of the protocol. The acquisition of every simulated radiograph is sampled around this protocol.
     knees : int, default 200
-        Number of simulated knees, distributed equally over the grades.
+        Number of simulated knees, distributed equally over the KL grades.
     grade_table : str, default "population"
         Grade table from which knees are sampled.
     seed : int, default 0
@@ -140,12 +141,12 @@ def compare_with_patients(
     seen_under = load_protocol(protocol)
     if not seen_under.posture.is_frontal or seen_under.knee_distance_mm:
         raise InputError(
-            f"protocol must image one knee in a frontal view, got {seen_under.name}: contours need a frontal view"
+            f"protocol must image one knee in a frontal view, got {seen_under.name}: contours require a frontal view"
         )
     given = read_bones(bones_folder) if bones_folder is not None else None
     sources = find_film_sources(films) if films is not None else ()
     out = make_folder(Path(out))
-    # Radiographs are simulated first, so that an output folder with another cohort raises InputError at once.
+    # Radiographs are simulated first, so that an output folder with a different cohort raises InputError immediately.
     of_films = []
     if sources:
         plan = plan_simulated_films(protocol, knees, grade_table, count, seed)
@@ -154,7 +155,8 @@ def compare_with_patients(
         cohort = cohort or out / _FILMS_FOLDER
     with execution.timer.stage("contours", "knees", knees):
         if cohort is None:
-            # Right knees suffice, because left knees are mirrored. Human readers measured the JSW of the patients.
+            # Right knees suffice, because left knees are mirrored. The JSW definition is "read", because readers
+            # measured patient JSW.
             drawn = sample_knees(laws, knees, seed, side="right", jsw_definition="read")
             by = load_jsw_protocol(drawn[0])
             takings = landmark_comparison.sample_acquisitions(
@@ -175,12 +177,12 @@ def compare_with_patients(
 
 
 def find_film_sources(films_folder: Path) -> tuple[FilmSource, ...]:
-    """List the sources of patient radiographs in a folder.
+    """Find the sources of patient radiographs in a folder.
 
     Parameters
     ----------
     films_folder : Path
-        Folder of radiographs of one source, or folder with one subfolder of radiographs per source.
+        Folder with the radiographs of one source, or with one subfolder per source.
 
     Returns
     -------
@@ -193,7 +195,10 @@ def find_film_sources(films_folder: Path) -> tuple[FilmSource, ...]:
         The folder contains no radiographs, or a source has the reserved name ``simulated``.
     """
     if not films_folder.is_dir():
-        raise InputError(f"films must be a folder of radiographs, or of folders of radiographs, got {films_folder}")
+        raise InputError(
+            "films must be a folder with radiographs, or with one subfolder of radiographs per source, "
+            f"got {films_folder}"
+        )
     try:
         return (FilmSource(name=films_folder.resolve().name, folder=films_folder, films=list_films(films_folder)),)
     except InputError as error:
@@ -208,14 +213,14 @@ def find_film_sources(films_folder: Path) -> tuple[FilmSource, ...]:
         raise nothing
     if any(source.name == SIMULATED for source in sources):
         raise InputError(
-            f"folders of films must not be named {SIMULATED}, got {films_folder / SIMULATED}: "
+            f"subfolders of films must not be named {SIMULATED}, got {films_folder / SIMULATED}: "
             "this name is reserved for simulated radiographs"
         )
     return tuple(sources)
 
 
 def _make_contours_section(sample: landmark_comparison.LandmarkSample, reference: LandmarkReference) -> Section:
-    """Compare contour landmarks with those of patients and make the page section."""
+    """Compare simulated with patient contour landmarks, and make the contour section of the page."""
     compared = landmark_comparison.compare_contours(sample, reference)
     counts = [f"{row['outside']} of {row['total']} at grade {row['grade']}" for row in compared.outside]
     cosines = ", ".join(f"{row['cosine']:.2f}" for row in compared.modes[:3])
@@ -225,20 +230,20 @@ def _make_contours_section(sample: landmark_comparison.LandmarkSample, reference
         text=CONTOURS_TEXT,
         tables=(
             Table(name="contours_outside", rows=compared.outside,
-                  caption="Number of means and SDs of landmark heights outside tolerance."),
+                  caption="Numbers of landmark height means and SDs outside the tolerance."),
             Table(name="contours_landmarks", rows=compared.landmarks, max_rows_shown=32,
                   caption="Landmark coordinates as fractions of the plateau width."),
             Table(name="contours_sizes", rows=compared.sizes,
-                  caption="Plateau width and joint gaps (mm at the detector), convergence (deg)."),
+                  caption="Plateau width and joint gaps (mm at the detector), and joint line convergence (deg)."),
             Table(name="contours_gap_auc", rows=compared.gap_auc,
-                  caption="AUC of the smaller joint gap, each grade against grade 0."),
+                  caption="AUC of the smaller joint gap for each grade against grade 0."),
             Table(name="contours_modes", rows=compared.modes,
-                  caption="First modes of landmark variation, grades 0 and 1."),
+                  caption="First principal modes of landmark variation in grades 0 and 1."),
         ),
         figures=(Picture(
             name="contours", png=compared.figure,
-            alt="Mean contours of simulated knees and of patients with ellipses of one SD",
-            caption="Mean landmarks with ellipses of one standard deviation, simulated knees and patients, by grade.",
+            alt="Mean contours of simulated knees and patients, with one-SD ellipses",
+            caption="Mean landmarks of simulated knees and patients for each grade, with one-SD ellipses.",
         ),),
         facts={name: getattr(compared, name) for name in ("outside", "sizes", "gap_auc", "modes")},
     )  # fmt: skip
@@ -253,7 +258,7 @@ def _make_bones_section(
     seed: int,
     execution: Execution,
 ) -> Section:
-    """Compare simulated with patient bones and make the page section; reuse the result of an earlier run."""
+    """Compare simulated with patient bones and make the bone section of the page; reuse saved results."""
 
     def make() -> tuple[tuple[list[Row], list[Row]], bytes]:
         drawn = bone_comparison.sample_bones(laws, tables, knees, seed, execution.workers)
@@ -271,13 +276,16 @@ def _make_bones_section(
         summary=line,
         text=BONES_TEXT,
         tables=(
-            Table(name="bones", rows=rows, caption="Distances in mm; scale is patient size divided by built size."),
+            Table(name="bones", rows=rows, caption=(
+                "Distances between bone surfaces in mm. The built mean is the bone of the default knee; scale is the "
+                "patient bone size divided by the size of the built mean."
+            )),
             Table(name="bones_shape_measures", rows=forms, max_rows_shown=30,
-                  caption="Shape measures of patient bones (patients) and sampled bones (simulated), at one size."),
+                  caption="Shape measures of patient bones and of sampled bones (simulated), scaled to the same size."),
         ),
         figures=(Picture(
-            name="bones", png=figure, alt="Built mean bones coloured by distance",
-            caption="Built mean bones; colour is the signed distance from the mean of the patient bones.",
+            name="bones", png=figure, alt="Bones of the default knee, coloured by distance from the patient mean",
+            caption="Bones of the default knee (built mean); colour is the signed distance from the mean patient bone.",
         ),),
         facts={"rows": rows},
     )  # fmt: skip
@@ -286,9 +294,9 @@ def _make_bones_section(
 def _make_films_section(
     out: Path, sources: Sequence[FilmSource], plan: Plan, tables: FilmTables, execution: Execution
 ) -> Section:
-    """Simulate radiographs, measure simulated and patient radiographs, and make the page section."""
+    """Simulate radiographs, measure simulated and patient radiographs, and make the radiograph section of the page."""
     with execution.stage("templates", "knees", 1):
-        # Templates are cropped here once; each worker process smooths the cropped templates.
+        # Templates are cropped once, before worker processes start; every worker process smooths the cropped templates.
         whole = make_standard_templates("scanline", workers=execution.workers)
         templates = [crop_template(template, 0.0, tables.localisation) for template in whole]
     simulated = simulate_films(out / _FILMS_FOLDER, plan, tables.looks, execution)
@@ -307,7 +315,7 @@ def _measure_sources(
     table: LocalisationSettings,
     execution: Execution,
 ) -> dict[str, list[Record]]:
-    """Measure every radiograph of the given sources; reuse records of an earlier run."""
+    """Measure every radiograph of all sources; reuse the saved records of an earlier run."""
     paths = {source.name: out / f"radiographs_{source.name}.csv" for source in sources}
     known = {name: load_known_rows(path, "sha256", _TEXT_COLUMNS) for name, path in paths.items()}
     return measure_films(
@@ -328,7 +336,7 @@ def _read_source_film(sources: Mapping[str, FilmSource], name: str, file: str) -
 
 
 def _write_report(out: Path, sections: Sequence[Section], facts: dict[str, Any]) -> PatientComparison:
-    """Write tables, figures, HTML page and JSON file."""
+    """Write the tables, figures, HTML page and JSON file of the comparison."""
     paths = []
     for section in sections:
         for table in section.tables:

@@ -1,4 +1,4 @@
-"""Radiograph section of the comparison page: tables and figures from radiograph records."""
+"""Make the radiograph section of the comparison page from radiograph records."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -41,26 +41,26 @@ from .films.simulated_films import SIMULATED
 from .page_texts import CAPTIONS, FILMS_TEXT
 
 Row = dict[str, Any]
-# Function that reads a radiograph in display values (bone bright), given the names of source and file.
+# Function that returns display values (bone bright) of a radiograph; its arguments are the source name and file name.
 FilmReader = Callable[[str, str], Array]
-# Two sources, and the grades to distinguish from grade 0; empty if the sources are distinguished from each other.
+# Two sources, and the KL grades to distinguish from grade 0; no grades if the task is to distinguish the sources.
 SourcePair = tuple[str, str, tuple[int, ...]]
-# Normalised radiograph for display, 8 bits.
+# Normalised 8-bit radiograph for display.
 NormalisedImage = NDArray[np.uint8]
-# Source name and record of a radiograph.
+# Source name and record of a displayed radiograph.
 DisplayedFilm = tuple[str, Record]
-# Grade, and contact-sheet rows, each with a caption and radiographs.
+# KL grade, and contact-sheet rows, each with a caption and radiographs.
 GradeSheet = tuple[int, list[tuple[str, list[DisplayedFilm]]]]
 # Grades of the positive class of each prediction task; the negative class is grade 0.
 GRADE_TASKS = ((2,), (3, 4))
-# Number of radiographs per row of a contact sheet.
+# Number of radiographs in each row of a contact sheet.
 _FILMS_PER_ROW = 6
-# Prefixes of the columns of outline ratios.
+# Prefixes of the outline ratio columns.
 _RATIO_GROUPS = ("shape|", "margins|")
 
 
 class SourceComparison(NamedTuple):
-    """Table rows of the comparison between sources.
+    """Table rows that compare radiograph sources.
 
     Attributes
     ----------
@@ -96,22 +96,22 @@ def make_films_section(
     Parameters
     ----------
     records : mapping of str to sequence of dict
-        Records of each source, from ``measure_films``. The source ``simulated`` has simulated radiographs; all other
-        sources have patient radiographs.
+        Records of each source, from ``measure_films``. The source ``simulated`` contains simulated radiographs; all
+        other sources contain patient radiographs.
     read_pixels : callable
-        Function that returns a (rows, cols) array of grey values from 0 to 1, given source and file name. It must be
+        Function of source name and file name that returns a (rows, cols) array of grey values from 0 to 1. It must be
         picklable if `execution` uses more than one process.
     execution : Execution
         Worker processes, timer and progress display.
     replicates : int, default 1000
         Number of bootstrap replicates.
     seed : int, default 0
-        Seed of bootstrap, cross-validation folds and selection of displayed radiographs.
+        Seed for the bootstrap, the cross-validation folds and the observer study.
 
     Returns
     -------
     Section
-        Section with tables and figures.
+        Page section with tables and figures.
     """
     sheets, order = select_contact_sheet_films(records), select_observer_films(records, SIMULATED, seed)
     shown = [*order, *(one for _, rows in sheets for _, chosen in rows for one in chosen)]
@@ -135,16 +135,16 @@ def make_films_section(
 def _make_tables(
     records: Mapping[str, Sequence[Record]], fates: list[Row], compared: SourceComparison
 ) -> tuple[Table, ...]:
-    """Make the tables of the section, except the key of the observer study."""
+    """Make the tables of the radiograph section, except the answer key of the observer study."""
     return (
-        Table(name="radiographs_found", rows=fates, caption="Localised joints (found) and rejections per source."),
+        Table(name="radiographs_found", rows=fates, caption="Localised (found) and rejected radiographs per source."),
         Table(name="source_separability", rows=compared.domains, caption=CAPTIONS["domains"]),
         Table(name="grade_transfer", rows=compared.transfer, caption=CAPTIONS["transfer"]),
         Table(name="grade_effects", rows=compared.groups, caption=CAPTIONS["effects"]),
         Table(
             name="feature_grade_effects",
             rows=compared.features,
-            caption="(c) Standardised grade differences of every feature.",
+            caption="(c) Standardised differences between grades for every feature.",
             max_rows_shown=12,
         ),
         Table(name="outline_ratios", rows=compare_ratios(records), caption=CAPTIONS["ratios"], max_rows_shown=31),
@@ -174,7 +174,7 @@ def _compare_and_read(
     replicates: int,
     seed: int,
 ) -> tuple[SourceComparison, dict[tuple[str, str], NormalisedImage]]:
-    """Compare all sources, and read the displayed radiographs by source and file, in one set of worker processes."""
+    """Compare all sources and read the displayed radiographs in the same worker processes."""
     measured = {name: make_film_features(name, of) for name, of in records.items() if _has_found_films(of)}
     comparing = [
         partial(_compare_pair, pair, measured=measured, replicates=replicates, seed=seed)
@@ -182,7 +182,8 @@ def _compare_and_read(
     ]
     films = {(name, one["file"]): one for name, one in displayed}
     showing = [partial(_read_normalised_film, read_pixels, name, one) for (name, _), one in films.items()]
-    # Models are fitted in worker processes, which use one linear-algebra thread each; two threads triple the time.
+    # Models are fitted in worker processes with one linear-algebra thread each, because two threads triple the run
+    # time.
     made = map_in_parallel(_call, [*comparing, *showing], shared={}, workers=execution.workers)
     compared = made[: len(comparing)]
     rows = ([row for rows in one for row in rows] for one in zip(_EMPTY_COMPARISON, *compared, strict=True))
@@ -190,12 +191,12 @@ def _compare_and_read(
 
 
 def _call(part: Callable[[], Any]) -> Any:
-    """Call a function without arguments; this wrapper is at module level because worker processes must import it."""
+    """Call a function without arguments; a module-level wrapper is required, because worker processes import it."""
     return part()
 
 
 def _list_source_pairs(measured: Mapping[str, FilmFeatures]) -> list[SourcePair]:
-    """List every pair of a patient source and simulated radiographs, and every pair of patient sources."""
+    """List all pairs of a patient source with simulated radiographs, and all pairs of two patient sources."""
     real = [name for name in measured if name != SIMULATED]
     pairs: list[SourcePair] = []
     for name in real if SIMULATED in measured else ():
@@ -212,7 +213,7 @@ def _list_source_pairs(measured: Mapping[str, FilmFeatures]) -> list[SourcePair]
 def _compare_pair(
     pair: SourcePair, *, measured: Mapping[str, FilmFeatures], replicates: int, seed: int
 ) -> SourceComparison:
-    """Measure the separability of two sources or, if the pair names grades, grade prediction and grade effects."""
+    """Measure the separability of two sources, or grade prediction and grade effects if the pair contains grades."""
     name, other, high = pair
     first, second = measured[name], measured[other]
     chance = {"replicates": replicates, "seed": seed}
@@ -224,17 +225,17 @@ def _compare_pair(
 
 
 def count_found_films(records: Mapping[str, Sequence[Record]]) -> list[Row]:
-    """Count radiographs, localised joints, and rejected radiographs by reason, for each source.
+    """Count the radiographs of each source, those with a localised joint, and those rejected for each reason.
 
     Parameters
     ----------
     records : mapping of str to sequence of dict
-        Records of each source.
+        Radiograph records of each source.
 
     Returns
     -------
     list of dict
-        One row per source, which also has the median pixel pitch in mm and the number of estimated pitches.
+        One row per source, with the counts, the median pixel pitch in mm and the number of estimated pixel pitches.
     """
     rows = []
     for name, of in records.items():
@@ -249,24 +250,25 @@ def count_found_films(records: Mapping[str, Sequence[Record]]) -> list[Row]:
 
 
 def _select_found_films(records: Mapping[str, Sequence[Record]]) -> dict[str, pd.DataFrame]:
-    """Make a table per source of the records with a localised joint."""
+    """Make one table per source that contains the records with a localised joint."""
     return {name: pd.DataFrame([one for one in of if one["status"] == "found"]) for name, of in records.items()}
 
 
 def summarise_quantities(records: Mapping[str, Sequence[Record]], group: str) -> list[Row]:
-    """Summarise the features of a feature group for each source.
+    """Summarise every feature of a feature group for each source.
 
     Parameters
     ----------
     records : mapping of str to sequence of dict
-        Records of each source.
+        Radiograph records of each source.
     group : str
         Name of the feature group.
 
     Returns
     -------
     list of dict
-        One row per feature: median, 10th and 90th percentile and number of radiographs of each source.
+        One row per feature, with the median, the 10th and 90th percentiles and the number of radiographs for each
+        source.
     """
     tables = _select_found_films(records)
     columns = dict.fromkeys(column for table in tables.values() for column in table if column.startswith(f"{group}|"))
@@ -289,7 +291,7 @@ def compare_ratios(records: Mapping[str, Sequence[Record]]) -> list[Row]:
     Parameters
     ----------
     records : mapping of str to sequence of dict
-        Records of each source.
+        Radiograph records of each source.
 
     Returns
     -------
@@ -308,17 +310,17 @@ def compare_ratios(records: Mapping[str, Sequence[Record]]) -> list[Row]:
 
 
 def select_contact_sheet_films(records: Mapping[str, Sequence[Record]]) -> list[GradeSheet]:
-    """Select radiographs of every source for the contact sheet of each grade.
+    """Select radiographs of every source for one contact sheet per KL grade.
 
     Parameters
     ----------
     records : mapping of str to sequence of dict
-        Records of each source.
+        Radiograph records of each source.
 
     Returns
     -------
     list of tuple
-        Grade, and one contact-sheet row per source: a caption and radiographs at even intervals in the list of records.
+        One entry per grade: the grade, and one contact-sheet row per source with a caption and evenly spaced records.
     """
     sheets = []
     for grade in sorted({int(one["grade"]) for of in records.values() for one in of}):
@@ -341,23 +343,24 @@ def _make_contact_sheet_picture(
         png=make_contact_sheet(
             [(caption, [forms[name, one["file"]] for name, one in chosen]) for caption, chosen in rows]
         ),
-        alt=f"Patient and simulated radiographs, {_format_grade(grade)}, in rows",
-        caption=f"(e) {_format_grade(grade).capitalize()}: one row per source, same scale, all as right knees.",
+        alt=f"Patient and simulated radiographs, {_format_grade(grade)}, one row per source",
+        caption=f"(e) {_format_grade(grade).capitalize()}: one row per source, same scale, all shown as right knees.",
     )
 
 
 def format_summary(compared: SourceComparison) -> str:
-    """Format the main result in one line.
+    """Format the main results of the radiograph comparison in one line.
 
     Parameters
     ----------
     compared : SourceComparison
-        Rows of the comparison between sources.
+        Table rows that compare radiograph sources.
 
     Returns
     -------
     str
-        AUC of source separability and of grade prediction, and correlation of grade effects, from all features.
+        AUCs of source separability and grade prediction, and correlations of grade effects, for models with all
+        features.
     """
     parts = []
     for row in compared.domains:
@@ -366,7 +369,7 @@ def format_summary(compared: SourceComparison) -> str:
     for row in compared.transfer:
         if row["group"] == ALL_FEATURES and "auc" in row:
             parts.append(
-                f"{row['source']} {row['task']}: AUC {row['auc']:.2f} trained on simulated, "
+                f"{row['source']} {row['task']}: AUC {row['auc']:.2f} if trained on simulated, "
                 f"{row['patient_auc']:.2f} trained on patient radiographs"
             )
     parts += [
@@ -378,12 +381,12 @@ def format_summary(compared: SourceComparison) -> str:
 
 
 def _has_found_films(records: Sequence[Record]) -> bool:
-    """Report whether the joint was localised on at least one radiograph."""
+    """Return whether the joint was localised on at least one radiograph."""
     return any(record["status"] == "found" for record in records)
 
 
 def _select_evenly(records: Sequence[Record]) -> list[Record]:
-    """Select up to six records at even intervals in a list."""
+    """Select up to six evenly spaced records from a list."""
     places = np.unique(np.linspace(0, len(records) - 1, min(_FILMS_PER_ROW, len(records))).round().astype(int))
     return [records[place] for place in places] if records else []
 
@@ -394,7 +397,7 @@ def _read_normalised_film(read_pixels: FilmReader, source: str, record: Record) 
 
 
 def _normalise_film(film: Array, record: Record) -> NormalisedImage:
-    """Normalise a radiograph to 8 bits with polarity, joint position, pitch and binning from the record."""
+    """Normalise a radiograph to 8 bits with the polarity, joint position, pixel pitch and binning in its record."""
     film = resample_to_square_pixels(film, float(record["pixel_height"]))
     bright = film if record["polarity"] == "bone bright" else 1 - film
     place = JointPosition(

@@ -1,4 +1,4 @@
-"""Beam quality: half-value layers, mean energy, air kerma and photons, computed with xraylib, not with SpekPy."""
+"""Compute beam quality with xraylib, independently of SpekPy: half-value layers, mean energy, air kerma and fluence."""
 
 import numpy as np
 import xraylib
@@ -34,8 +34,8 @@ def energy_transfer_cm2_per_g(air: Material, energies_kev: Array) -> Array:
 
     Notes
     -----
-    The Compton part is the mean energy transfer of Klein and Nishina (1929). The energy of fluorescence and
-    bremsstrahlung counts as absorbed, because both are negligible in air at diagnostic energies. The energy-absorption
+    The Compton part is the mean energy transfer of Klein and Nishina (1929). Fluorescence and bremsstrahlung are
+    negligible in air at diagnostic energies, so their energy is regarded as absorbed. The energy-absorption
     coefficients of xraylib are not used, because their interpolation is too coarse (a third too low at 20 keV).
     """
     photo, compton = (
@@ -46,7 +46,7 @@ def energy_transfer_cm2_per_g(air: Material, energies_kev: Array) -> Array:
 
 
 def _compton_transfer_fraction(energies_kev: Array) -> Array:
-    """Compute the mean fraction of a photon's energy that a free electron receives (Klein and Nishina 1929).
+    """Compute the mean fraction of photon energy transferred to a free electron (Klein and Nishina 1929).
 
     Argument and result have shape (energies,).
     """
@@ -57,7 +57,7 @@ def _compton_transfer_fraction(energies_kev: Array) -> Array:
 
 
 def air_kerma_ugy(air: Material, energies_kev: Array, photons_per_mm2: Array) -> float:
-    """Compute the air kerma of a fluence: photons times energy times mass energy-transfer coefficient of dry air.
+    """Compute the air kerma of a fluence: fluence times energy times mass energy-transfer coefficient of dry air.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def air_kerma_ugy(air: Material, energies_kev: Array, photons_per_mm2: Array) ->
     energies_kev : (energies,) array
         Photon energies, in keV.
     photons_per_mm2 : (energies,) array
-        Fluence per energy, in photons per mm2.
+        Fluence at each energy, in photons per mm2.
 
     Returns
     -------
@@ -79,7 +79,7 @@ def air_kerma_ugy(air: Material, energies_kev: Array, photons_per_mm2: Array) ->
 
 
 def half_value_layers_mm_al(air: Material, energies_kev: Array, photons_per_mm2: Array) -> tuple[float, float]:
-    """Compute the first and second half-value layer in aluminium from the air kerma, in narrow-beam geometry.
+    """Compute the first and second half-value layers in aluminium from the air kerma, in narrow-beam geometry.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def half_value_layers_mm_al(air: Material, energies_kev: Array, photons_per_mm2:
     energies_kev : (energies,) array
         Photon energies, in keV.
     photons_per_mm2 : (energies,) array
-        Fluence per energy, in photons per mm2.
+        Fluence at each energy, in photons per mm2.
 
     Returns
     -------
@@ -101,11 +101,11 @@ def half_value_layers_mm_al(air: Material, energies_kev: Array, photons_per_mm2:
     whole = air_kerma_ugy(air, energies_kev, photons_per_mm2)
 
     def excess(depth_mm: float, share: float) -> float:
-        """Compute the transmitted fraction of the air kerma minus a target fraction."""
+        """Compute the fraction of the air kerma that aluminium transmits, minus the fraction `share`."""
         return air_kerma_ugy(air, energies_kev, photons_per_mm2 * np.exp(-mu * depth_mm)) / whole - share
 
     def layer(share: float) -> float:
-        """Find the thickness of aluminium in mm that transmits a given fraction of the air kerma."""
+        """Find the aluminium thickness in mm that transmits the fraction `share` of the air kerma."""
         return float(brentq(excess, 0.0, 100.0, args=(share,), xtol=1e-12))
 
     first = layer(0.5)
@@ -113,7 +113,7 @@ def half_value_layers_mm_al(air: Material, energies_kev: Array, photons_per_mm2:
 
 
 def compute_beam_quantities(technique: Technique) -> dict[str, float]:
-    """Compute the beam quality of a protocol's open beam.
+    """Compute the quality of the open beam of a protocol.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def compute_beam_quantities(technique: Technique) -> dict[str, float]:
     Returns
     -------
     dict of str to float
-        Value of each quantity, keyed by its name; names end with the unit.
+        Values keyed by quantity name; each name ends with the unit.
 
     Notes
     -----

@@ -1,4 +1,4 @@
-"""Detector quality, measured as in a laboratory: slanted-edge MTF, NPS of flat fields, DQE, photon transfer."""
+"""Measure detector quality as in a laboratory: slanted-edge MTF, NPS of flat fields, DQE and photon transfer."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,13 +18,13 @@ from ..xray.spectrum import compute_beam
 _EDGE_DEG = 2.4
 # Number of bins of the edge spread function per pixel.
 _FINER = 8
-# Number of rows and columns of the image of the edge.
+# Number of rows and columns of the edge image.
 _EDGE_PX = 512
 # Side length of a region of interest for the noise power spectrum, in pixels.
 _ROI_PX = 128
 # Number of regions of interest along each side of a flat field.
 _ROIS = 4
-# Number of flat fields.
+# Number of flat-field exposures.
 _FIELDS = 6
 
 
@@ -39,7 +39,7 @@ class FrequencyCurve:
     measured : (n,) array
         Measured values.
     model : (n,) array
-        Values that the detector model predicts.
+        Values predicted by the detector model.
     """
 
     frequency_per_mm: Array
@@ -48,7 +48,7 @@ class FrequencyCurve:
 
 
 def make_bare_technique(technique: Technique, side_px: int) -> Technique:
-    """Make a technique with a square detector and a point source, without anything in the beam.
+    """Make a technique with a square detector and a point source, and without objects in the beam.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def make_bare_technique(technique: Technique, side_px: int) -> Technique:
     Returns
     -------
     Technique
-        Technique without focal-spot blur, scatter, heel effect, dead pixels, collimator and side marker.
+        Technique without focal-spot blur, scatter, heel effect, dead pixels, collimator or side marker.
     """
     return technique.replace_protocol(
         rows=side_px,
@@ -118,7 +118,7 @@ def measure_mtf(technique: Technique) -> FrequencyCurve:
     pixel_mm = technique.protocol.pixel_mm
     rows, cols = np.mgrid[:_EDGE_PX, :_EDGE_PX] - (_EDGE_PX - 1) / 2
     across = cols * np.cos(np.deg2rad(_EDGE_DEG)) + rows * np.sin(np.deg2rad(_EDGE_DEG))
-    # Path length in lead whose transmission equals the open fraction of the pixel.
+    # The path length in lead is chosen so that the transmission equals the uncovered fraction of the pixel.
     per_mm = float(attenuation_per_mm(parse_compound("Pb@11.35"), np.array([60.0]))[0])
     path = -np.log(np.clip(0.5 - across, 1e-6, 1.0)) / per_mm
     pixels = _require_pixels(_expose_paths({"Pb@11.35": path.astype(np.float32)}, quiet))
@@ -129,13 +129,13 @@ def measure_mtf(technique: Technique) -> FrequencyCurve:
 
 
 def _monoenergetic_mas(technique: Technique) -> float:
-    """Compute the mAs of a monoenergetic beam that gives a signal near the middle of the 16-bit range."""
+    """Compute the mAs at which a monoenergetic beam gives a signal near the middle of the 16-bit range."""
     trial = make_bare_technique(technique, 8).replace_protocol(noise="none", mono_kev=60.0, mas=1.0)
     return 30000.0 / max(float(_require_pixels(_expose_paths({}, trial)).mean()) - technique.detector.offset_dn, 1.0)
 
 
 def _compute_edge_mtf(pixels: Array, distance_px: Array, pixel_mm: float) -> tuple[Array, Array]:
-    """Compute frequencies and MTF from pixel values and their distances in pixels from the edge."""
+    """Compute frequencies and MTF from pixel values and pixel distances from the edge."""
     reach = 96
     place = np.floor((distance_px + reach) * _FINER).astype(int)
     inside = (place >= 0) & (place < 2 * reach * _FINER)
@@ -144,21 +144,21 @@ def _compute_edge_mtf(pixels: Array, distance_px: Array, pixel_mm: float) -> tup
     line = np.diff(spread)
     transform = np.abs(np.fft.rfft(line))
     frequency = np.fft.rfftfreq(len(line), pixel_mm / _FINER)
-    # Differentiation and binning each act as an aperture of one bin; the two transfer functions are divided out.
+    # Differentiation and binning each act as an aperture of one bin, so both transfer functions are divided out.
     transform /= np.sinc(frequency * pixel_mm / _FINER) ** 2
     wanted = frequency < 0.5 / pixel_mm
     return np.asarray(frequency[wanted], np.float64), np.asarray(transform[wanted] / transform[0], np.float64)
 
 
 def simulate_flat_fields(technique: Technique, count: int = _FIELDS) -> Array:
-    """Simulate flat fields: exposures of the open beam.
+    """Simulate flat-field exposures with the open beam.
 
     Parameters
     ----------
     technique : Technique
         Resolved protocol.
     count : int, default 6
-        Number of exposures, each with its own noise.
+        Number of exposures with independent noise.
 
     Returns
     -------
@@ -185,8 +185,8 @@ def measure_nnps(technique: Technique) -> FrequencyCurve:
         Normalised noise power spectrum, in mm2.
     """
     fields, pixel_mm = simulate_flat_fields(technique), technique.protocol.pixel_mm
-    # The mean of the fields is subtracted, because the inverse-square fall-off of the beam is not noise. The factor
-    # corrects for the noise of the mean itself.
+    # The mean flat field is subtracted, because the inverse-square fall-off of the beam is not noise. The factor
+    # corrects for the noise in the mean flat field.
     residual = (fields - fields.mean(axis=0)) * np.sqrt(len(fields) / (len(fields) - 1))
     regions = residual.reshape(len(fields), _ROIS, _ROI_PX, _ROIS, _ROI_PX).swapaxes(2, 3)
     # The Hann window prevents leakage of power from low to high frequencies, where the power is thirty times smaller.
@@ -256,9 +256,9 @@ def measure_photon_transfer(technique: Technique, steps: int = 6) -> list[tuple[
     Parameters
     ----------
     technique : Technique
-        Resolved protocol; its mAs is the highest value.
+        Resolved protocol, whose mAs is the highest simulated value.
     steps : int, default 6
-        Number of mAs values, from 1/64 of the protocol's mAs to the full mAs.
+        Number of mAs values, from 1/64 of the protocol mAs to the full protocol mAs.
 
     Returns
     -------
@@ -288,14 +288,14 @@ def measure_noise_moments(technique: Technique) -> dict[str, tuple[float, float,
     Returns
     -------
     dict of str to (value, low, high) tuple of float
-        Measured moment and its expected range, which is four standard errors for the number of pixels.
+        Measured moments, with an expected range of four standard errors for the number of pixels.
     """
     flat = make_bare_technique(technique, _ROI_PX * _ROIS).replace_protocol(detector_blur="none")
     image, offset = _expose_paths({}, flat, seed=9, keep=frozenset({"noise_free"})), flat.detector.offset_dn
     pixels, mean = _require_pixels(image), image.kept["noise_free"].astype(np.float64) - offset
     variance = model_nnps(flat, np.zeros(1), mean) / flat.protocol.pixel_mm**2 * mean**2
     off, n = (pixels - offset - mean) / np.sqrt(variance), pixels.size
-    # Skewness of Poisson counts; 0 for large counts, which are sampled from a normal distribution.
+    # The expected skewness is that of Poisson counts, or 0 for large counts sampled from a normal distribution.
     quanta = float(np.mean(mean**2 / variance))
     skewness = 1 / np.sqrt(quanta) if quanta < GAUSSIAN_MIN_QUANTA else 0.0
     shape = (off - off.mean()) / off.std()
@@ -314,7 +314,7 @@ def measure_noise_moments(technique: Technique) -> dict[str, tuple[float, float,
 def _expose_paths(
     path_mm: Mapping[str, NDArray[np.float32]], technique: Technique, seed: int = 0, keep: frozenset[str] = frozenset()
 ) -> LatentImage:
-    """Run the imaging stages for given path lengths (rows, cols), in mm, without a scene."""
+    """Run the imaging stages for path lengths (rows, cols), in mm, without a scene."""
     image = LatentImage(path_mm=path_mm)
     run_stages(image, StageContext(technique=technique, seed=seed, keep=keep))
     return image
@@ -327,7 +327,7 @@ def _require_pixels(image: LatentImage) -> NDArray[np.uint16]:
 
 
 def _average_over_rings(radius: Array, power: Array, pixel_mm: float) -> tuple[Array, Array]:
-    """Average a power spectrum over rings of frequency up to the Nyquist frequency, excluding the axes."""
+    """Average a power spectrum over frequency rings up to the Nyquist frequency, excluding the axes."""
     step = radius[0, 1] * 2
     used = (np.arange(len(radius))[:, None] > 0) & (np.arange(len(radius)) > 0) & (radius < 0.5 / pixel_mm)
     ring = np.rint(radius[used] / step).astype(int)

@@ -1,4 +1,4 @@
-"""Exposure of a radiograph: exposure index, entrance air kerma, scatter, dynamic range and noise."""
+"""Measure the exposure of a radiograph: exposure index, entrance air kerma, scatter, dynamic range and noise."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from ..xray.resolved_technique import Technique, resolve_technique
 from ..xray.spectrum import compute_beam, tube_spectrum
 from .beam_quality import air_kerma_ugy, entrance_kerma_ugy
 
-# Half the side length of the square regions in which signals are measured, in mm on the detector.
+# Half the edge length of the square regions in which signals are measured, in mm at the detector.
 _ROI_HALF_MM = 3.0
 # Fraction of the open-beam signal below which a pixel shows the limb, as in display processing (`data/looks.toml`).
 _LIMB_SIGNAL_FRACTION = 0.5
@@ -24,12 +24,12 @@ _LIMB_SIGNAL_FRACTION = 0.5
 _GREATEST = 0.999
 # Value of a saturated pixel, in DN.
 _FULL_DN = 65535
-# Cell size of the scatter-to-primary-ratio map, in mm on the detector.
+# Cell size of the scatter-to-primary-ratio map, in mm at the detector.
 _SPR_CELL_MM = 2.4
 
 
 def measure_exposure_quantities(technique: Technique) -> tuple[dict[str, float], Array]:
-    """Measure exposure index, scatter, dynamic range and noise on a radiograph of the default knee.
+    """Measure the exposure index, scatter, dynamic range and noise of a radiograph of the default knee.
 
     Parameters
     ----------
@@ -79,7 +79,8 @@ def compute_exposure_index(radiograph: Radiograph) -> float:
     """Compute the exposure index of a radiograph from its pixels (IEC 62494-1).
 
     The value of interest is the median signal of the limb. Limb pixels are the pixels in the collimated field that are
-    not saturated and have less than half of the open-beam signal. If there are none, the whole field is used.
+    not saturated and have less than half of the open-beam signal. Without limb pixels, the entire collimated field is
+    used.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ def compute_exposure_index(radiograph: Radiograph) -> float:
     Returns
     -------
     float
-        Exposure index: 100 times the air kerma, in uGy, of an RQA5 beam with the same signal.
+        Exposure index: 100 times the air kerma, in uGy, of an RQA5 beam that gives the same signal.
     """
     technique, protocol = resolve_technique(radiograph.protocol), radiograph.protocol
     detector = technique.detector
@@ -98,7 +99,8 @@ def compute_exposure_index(radiograph: Radiograph) -> float:
     kev = (field.astype(np.float64) - detector.offset_dn) * _kev_per_dn(technique)
     greatest = float(np.quantile(kev, _GREATEST))
     if field.max() == _FULL_DN:
-        # If the open beam saturates the detector, its signal is computed from the spectrum instead of the pixels.
+        # If the open beam saturates the detector, the open-beam signal is computed from the spectrum, not from the
+        # pixels.
         beam, nearer = compute_beam(technique), (1000.0 / protocol.sdd_mm) ** 2
         greatest = float((beam.photons_per_mm2 * beam.signal_kev).sum()) * nearer * protocol.pixel_mm**2
     limb = kev[(kev < _LIMB_SIGNAL_FRACTION * greatest) & (field < _FULL_DN)]
@@ -128,12 +130,12 @@ def compute_entrance_kerma_ugy(radiograph: Radiograph) -> float:
 
 
 def spr_cell_px(protocol: Protocol) -> int:
-    """Compute the cell size of the scatter-to-primary-ratio map.
+    """Compute the cell size of the scatter-to-primary-ratio map for a pixel pitch.
 
     Parameters
     ----------
     protocol : Protocol
-        Protocol with the pixel pitch.
+        Protocol that specifies the pixel pitch.
 
     Returns
     -------
@@ -149,15 +151,14 @@ def exposure_index(limb_kev: Array, technique: Technique) -> float:
     Parameters
     ----------
     limb_kev : (pixels,) array
-        Signal of the pixels behind the limb, in keV per pixel.
+        Signal of each pixel behind the limb, in keV.
     technique : Technique
         Resolved protocol.
 
     Returns
     -------
     float
-        Exposure index: 100 times the air kerma, in uGy, of an RQA5 beam whose signal is the median signal behind the
-        limb.
+        Exposure index: 100 times the air kerma, in uGy, of an RQA5 beam that gives the median signal behind the limb.
     """
     return 100 * float(np.median(limb_kev)) / _kev_per_ugy(technique)
 
@@ -165,7 +166,7 @@ def exposure_index(limb_kev: Array, technique: Technique) -> float:
 def _kev_per_ugy(technique: Technique) -> float:
     """Compute the energy absorbed in a pixel per uGy of an RQA5 beam, in keV.
 
-    The beam is 70 kV behind 23.5 mm of aluminium (IEC 61267).
+    An RQA5 beam is 70 kV, filtered by 23.5 mm of aluminium (IEC 61267).
     """
     rqa5 = technique.replace_protocol(tube_kv=70.0, filtration_mm_al=23.5, anode_angle_deg=12.0, mono_kev=None, mas=1.0)
     beam = compute_beam(rqa5)

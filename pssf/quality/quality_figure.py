@@ -1,4 +1,4 @@
-"""Figure of a protocol's image quality: measured curves and model curves."""
+"""Plot the measured and model image quality curves of a protocol."""
 
 import io
 
@@ -14,14 +14,14 @@ def render_quality_png(quality: QualityResult, protocol_name: str) -> bytes:
     Parameters
     ----------
     quality : QualityResult
-        Measured quality.
+        Measured image quality of the protocol.
     protocol_name : str
-        Name of the protocol, for the title.
+        Protocol name for the figure title.
 
     Returns
     -------
     bytes
-        PNG file.
+        Content of a PNG file.
     """
     figure = Figure(figsize=(13, 7), layout="constrained")
     axes = figure.subplots(2, 3)
@@ -37,15 +37,15 @@ def render_quality_png(quality: QualityResult, protocol_name: str) -> bytes:
     mean, measured, meant = zip(*quality.photon_transfer, strict=True)
     axes[1, 1].loglog(mean, measured, "o", label="measured")
     axes[1, 1].loglog(mean, meant, "-", linewidth=1, label="model")
-    axes[1, 1].set(xlabel="mean signal (DN)", ylabel="variance (DN²)", title="photon transfer, no blur")
+    axes[1, 1].set(xlabel="mean signal (DN)", ylabel="variance (DN²)", title="photon transfer, without detector blur")
     axes[1, 1].legend(frameon=False)
     shown = axes[0, 2].imshow(quality.spr, cmap="magma", vmin=0)
-    axes[0, 2].set(title="scatter over primary", xticks=[], yticks=[])
+    axes[0, 2].set(title="scatter-to-primary ratio", xticks=[], yticks=[])
     figure.colorbar(shown, ax=axes[0, 2])
     middle = quality.spr[quality.spr.shape[0] * 5 // 9]
     across_mm = (np.arange(len(middle)) - (len(middle) - 1) / 2) * quality.spr_cell_mm
     axes[1, 2].plot(across_mm, middle, linewidth=1)
-    axes[1, 2].set(xlabel="mm from the middle of the detector", ylabel="scatter over primary", ylim=(0, None))
+    axes[1, 2].set(xlabel="distance from the detector centre (mm)", ylabel="scatter-to-primary ratio", ylim=(0, None))
     axes[1, 2].set_title("across the tibia")
     figure.suptitle(f"Protocol {protocol_name}")
     stream = io.BytesIO()

@@ -10,16 +10,16 @@ from .quality_measurement import QualityResult
 
 
 def write_quality(quality: QualityResult, protocol: Protocol, out: Path) -> list[Path]:
-    """Write quantities, curves and scatter-to-primary-ratio map as CSV files, and a figure if matplotlib is installed.
+    """Write the quantities, curves and scatter map as CSV files, and a figure if matplotlib is installed.
 
     Parameters
     ----------
     quality : QualityResult
-        Measured quality.
+        Measured image quality of the protocol.
     protocol : Protocol
-        Protocol, whose name is the last part of the file names.
+        Measured protocol, whose name is the end of every file name.
     out : Path
-        Folder for the files.
+        Output folder.
 
     Returns
     -------

@@ -41,13 +41,13 @@ class QualityResult:
     mtf : FrequencyCurve
         Presampled MTF.
     nnps : FrequencyCurve
-        Normalised noise power spectrum, in mm2.
+        Normalised noise power spectrum of flat fields, in mm2.
     dqe : FrequencyCurve
         Detective quantum efficiency in an RQA5 beam.
     photon_transfer : list of (mean, measured, model) tuple of float
         Photon transfer of flat fields with increasing mAs: mean in DN, measured variance and model variance in DN2.
     spr : (rows, cols) array
-        Scatter-to-primary-ratio map of the default knee, with cells of size `spr_cell_mm`.
+        Scatter-to-primary-ratio map of the default knee; the cell size is `spr_cell_mm`.
     spr_cell_mm : float
         Cell size of the scatter-to-primary-ratio map in mm, about 2 mm.
     """
@@ -62,7 +62,7 @@ class QualityResult:
 
 
 def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda what: None) -> QualityResult:
-    """Measure the image quality of a protocol: beam, detector, and a radiograph of the default knee.
+    """Measure the image quality of a protocol: the beam, the detector and a radiograph of the default knee.
 
     A protocol for two knees is measured with one knee at the centre of the detector.
 
@@ -71,7 +71,7 @@ def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda
     protocol : Protocol
         Protocol to measure.
     progress : callable
-        Function that is called with the name of each measurement when it starts.
+        Function that receives the name of each measurement when the measurement starts.
 
     Returns
     -------
@@ -101,19 +101,19 @@ def measure_quality(protocol: Protocol, progress: Callable[[str], None] = lambda
     }
     rows = [_make_row(name, value, protocol, held_against) for name, value in values.items()]
     for name, (value, low, high) in measure_noise_moments(technique).items():
-        bounds = {"reference": "", "low": f"{low:.5g}", "high": f"{high:.5g}", "source": "normal noise, sample size"}
+        bounds = {"reference": "", "low": f"{low:.5g}", "high": f"{high:.5g}", "source": "normal noise, pixel count"}
         rows.append({"quantity": name, "value": f"{value:.5g}", **bounds})
     return QualityResult(rows, sharp, noise, efficiency, transfer, spr, spr_cell_px(protocol) * protocol.pixel_mm)
 
 
 def _worst_ratio(curve: FrequencyCurve, up_to_per_mm: float) -> float:
-    """Return the ratio of measured to model value that differs most from 1, for frequencies up to a limit."""
+    """Return the ratio of measured to model value that differs most from 1, at frequencies up to `up_to_per_mm`."""
     ratio = (curve.measured / curve.model)[(curve.frequency_per_mm > 0) & (curve.frequency_per_mm <= up_to_per_mm)]
     return float(ratio[np.abs(ratio - 1).argmax()])
 
 
 def _make_row(name: str, value: float, protocol: Protocol, known_values: ReferenceTables) -> Row:
-    """Make the table row of one quantity, with its reference value if one applies to the protocol."""
+    """Make the table row of one quantity, with the reference value if the protocol has one."""
     row: Row = {"quantity": name, "value": f"{value:.5g}", "reference": "", "low": "", "high": "", "source": ""}
     beam = known_values.beam.get(f"{protocol.tube_kv:g}_{protocol.filtration_mm_al:g}")
     if name in _BEAM_QUANTITIES and beam and protocol.anode_angle_deg == 12.0 and protocol.mono_kev is None:

@@ -1,6 +1,6 @@
 """Radiomics: localise the knee joint in a radiograph, cut out a region and measure features.
 
-It needs the `study` extra.
+This subpackage requires the optional dependencies `study`.
 
 radiomics_tables          localisation settings and IBSI tags
 displayed_radiograph      measurement of displayed radiographs of any pixel size and grey scale
@@ -15,7 +15,7 @@ localisation
   region_of_interest      square region around the medial joint line
 features
   feature_extraction      measurement of the features of a region
-  feature_table           measurement of many radiographs, one record of features each
+  feature_table           measurement of many radiographs, with one feature record per radiograph
   feature_families        names of the feature families
   feature_backends        selection of a feature library
   pyradiomics_backend, mirp_backend
@@ -23,7 +23,7 @@ features
   bone_mask, shape2d      segmentation of the bone, and shape features of a mask
   mask_overlap            agreement of a segmented mask with the true mask
   texture_measures        power-spectrum and grey-value features of trabecular bone
-  ibsi_tags               tags of the features in the IBSI reference
+  ibsi_tags               tags of features in the IBSI reference manual
   image_processing        description of the grey-value processing for reports
 """
 

@@ -1,6 +1,6 @@
-"""Measurement of displayed radiographs: localisation, resampling to a common pixel size, histogram matching, features.
+"""Measure displayed radiographs: localisation, resampling to a common pixel size, histogram matching and features.
 
-The image is resampled before its histogram is matched. An unknown tone curve then affects the result only through
+The image is resampled before the histogram is matched. An unknown tone curve then affects the result only through
 interpolation and blur of neighbouring pixels.
 """
 
@@ -60,11 +60,11 @@ class DisplayedImage(Protocol):
 
     @property
     def pixel_mm(self) -> float | None:
-        """Pixel size in mm; None if the file does not contain it."""
+        """Pixel size in mm; None if the file does not specify it."""
 
     @property
     def side(self) -> str | None:
-        """Knee side, "right" or "left"; None if the file does not contain it."""
+        """Knee side, "right" or "left"; None if the file does not specify it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +80,8 @@ class DisplayExtractionSettings:
     bins : int
         Number of grey-level bins.
     families : tuple of str
-        Feature families. The default omits first-order features, which depend on the tone curve.
+        Feature families to measure. First-order features are excluded by default, because they depend on the tone
+        curve.
     backend : str
         Feature library, "pyradiomics" or "mirp". The default is pyradiomics if it is installed, else MIRP.
 
@@ -103,7 +104,7 @@ class DisplayExtractionSettings:
 
 
 def require_plateau_width(templates: Sequence[Template]) -> None:
-    """Check that the templates have a plateau width, which is needed to estimate the pixel size of a radiograph.
+    """Check that the templates have a plateau width, which is required to estimate the pixel size of a radiograph.
 
     Parameters
     ----------
@@ -117,7 +118,7 @@ def require_plateau_width(templates: Sequence[Template]) -> None:
     """
     if not templates or templates[0].plateau_mm is None:
         raise InputError(
-            "template plateau_mm must be the width in mm, got plateau_mm = None: it is needed to estimate pixel size"
+            "template plateau_mm must be the width in mm, got plateau_mm = None: pixel size estimation needs the width"
         )
 
 
@@ -132,28 +133,28 @@ def measure_display(
 ) -> Measurement:
     """Measure one displayed radiograph.
 
-    Side and pixel size are taken from the job, else from the file, else they are estimated. The record has no features
-    if the radiograph cannot be read or no knee is found.
+    Knee side and pixel size come from the job or from the file; if neither specifies them, they are estimated. The
+    record has no features if the radiograph cannot be read or no knee is found.
 
     Parameters
     ----------
     job : MeasurementJob
         Radiograph to measure.
     load_pixels : callable
-        Function that returns the displayed image, given the file name.
+        Function of file name that returns the displayed image.
     templates : sequence of Template
         Template radiographs. The first template also provides the histogram and the plateau width.
     settings : DisplayExtractionSettings
-        Settings of the measurement.
+        Resampling and feature settings.
     tables : RadiomicsTables
         Localisation settings and IBSI tags.
     code : dict of str to str
-        Code hashes of the process that started the run, from `compute_code_hashes`.
+        Code hashes from `compute_code_hashes` in the process that started the run.
 
     Returns
     -------
     record : dict of str to object
-        Location, scores and features by column name.
+        Joint location, scores and features, keyed by column name.
     seconds : dict of str to float
         Run time of the steps "localisation" and "features".
 
@@ -167,7 +168,7 @@ def measure_display(
     refused = UNREADABLE
     try:
         film = load_pixels(job.file)
-        refused = "no knee"  # A later InputError means that the image is too small for a search.
+        refused = "no knee"  # If localisation raises InputError, the image is too small for a search.
         side, pixel_mm = job.side or film.side, job.pixel_mm or film.pixel_mm
         joint = locate_joint_in_display(film.pixels, templates, tables.localisation, side, pixel_mm)
     except InputError:
@@ -202,27 +203,27 @@ def measure_linear(
 ) -> Measurement:
     """Measure one radiograph with linear pixels of any pixel size.
 
-    If the radiograph has the pixel size of `settings`, it is measured without resampling; see `measure_radiograph`.
+    A radiograph with the pixel size of `settings` is measured without resampling; see `measure_radiograph`.
 
     Parameters
     ----------
     job : MeasurementJob
         Radiograph to measure, with known side and pixel size.
     load_pixels : callable
-        Function that returns linear pixels (rows, cols) in DN, given the file name.
+        Function of file name that returns linear pixels (rows, cols) in DN.
     templates : sequence of Template
         Template radiographs.
     settings : DisplayExtractionSettings
-        Settings of the measurement.
+        Resampling and feature settings.
     tables : RadiomicsTables
         Localisation settings and IBSI tags.
     code : dict of str to str
-        Code hashes of the process that started the run, from `compute_code_hashes`.
+        Code hashes from `compute_code_hashes` in the process that started the run.
 
     Returns
     -------
     record : dict of str to object
-        Location, scores and features by column name.
+        Joint location, scores and features, keyed by column name.
     seconds : dict of str to float
         Run time of the steps "localisation" and "features".
 
@@ -266,7 +267,7 @@ def measure_linear(
 
 
 def _make_given_columns(job: MeasurementJob) -> Record:
-    """Make the record columns of side, polarity and pixel size for a radiograph with linear pixels."""
+    """Make the record columns for side, polarity and pixel size of a radiograph with linear pixels."""
     said = {"film_side": job.side, "film_polarity": "linear"}
     return said | {"film_pixel_from": "given", "film_pixel_mm": job.pixel_mm}
 
@@ -274,7 +275,7 @@ def _make_given_columns(job: MeasurementJob) -> Record:
 def _count_knees(
     density: Array, record: Record, pixel_mm: float, templates: Sequence[Template], table: LocalisationSettings
 ) -> str:
-    """Return "two" if both knees are on a radiograph, "one" if one knee is, and "" if no knee was found.
+    """Return "two" for a radiograph of both knees, "one" for a single knee, and "" if no knee is found.
 
     `density` (rows, cols) has square pixels of size `pixel_mm`, in any unit.
     """
@@ -285,7 +286,7 @@ def _count_knees(
 
 
 def _make_record(job: MeasurementJob, joint: JointLocation, region: Array | None) -> Record:
-    """Make the record columns of the localisation; status is "leaves image" if the region extends beyond the image."""
+    """Make the localisation columns of a record; status is "leaves image" if the region extends beyond the image."""
     status = "leaves image" if joint.status == "found" and region is None else joint.status
     record: Record = {"radiograph": job.radiograph, "sha256": job.sha256, "status": status}
     record |= {"film_side": joint.side, "film_polarity": joint.polarity}
@@ -341,7 +342,7 @@ def cut_resampled_region(
     pixels : (rows, cols) array, any unit
         Displayed or linear pixels.
     joint : JointLocation
-        Location of the joint line.
+        Location of the medial joint line.
     pixel_mm : float
         Pixel size of the region, in mm.
     region_px : int
@@ -367,11 +368,11 @@ def cut_resampled_region(
 
 
 def match_template_histogram(region: Array, template: Template, pixel_mm: float) -> NDArray[np.uint16]:
-    """Match the histogram of a displayed region to that of a template region (Gonzalez and Woods 2018, 3.3).
+    """Match the histogram of a displayed region to the histogram of a template region (Gonzalez and Woods 2018, 3.3).
 
-    The tone curve of a displayed radiograph is unknown: grey value may be any increasing function of the signal.
-    Histogram matching inverts the tone curve, except where the curve is flat. First-order features then carry no
-    information, because they equal those of the template.
+    The tone curve of a displayed radiograph is unknown: the grey value may be any increasing function of the signal.
+    Histogram matching inverts the tone curve, except where the curve is flat. First-order features then contain no
+    information, because they are equal to the template features.
 
     Parameters
     ----------
@@ -394,7 +395,7 @@ def match_template_histogram(region: Array, template: Template, pixel_mm: float)
 
 
 def _cut_template_region(template: Template, half_mm: float) -> Array:
-    """Cut out the linear signal (rows, cols) of a template within `half_mm` of its medial joint line."""
+    """Cut out the linear signal (rows, cols) of a template within `half_mm` of the medial joint line."""
     reach = half_mm / template.pixel_mm
     top, left = (max(0, round(at - reach)) for at in (template.row, template.col))
     bottom, right = (round(at + reach) for at in (template.row, template.col))

@@ -1,4 +1,4 @@
-"""Radiomics tables: localisation settings and IBSI tags, loaded together before a measurement."""
+"""Load the radiomics tables: localisation settings and IBSI tags."""
 
 from functools import cache
 
@@ -24,7 +24,7 @@ class RadiomicsTables(Record, frozen=True):
 
 @cache
 def radiomics_tables() -> RadiomicsTables:
-    """Load the radiomics tables of the package.
+    """Load the built-in radiomics tables.
 
     Returns
     -------

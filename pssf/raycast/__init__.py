@@ -1,16 +1,18 @@
 """Ray casting: path lengths in each material, silhouettes, and checks of a scene.
 
-`trace` computes path lengths as arrays of shape (rows, cols). `trace_sparse` computes the same path lengths and does
-not store the air beside the object. `check` lists the faults of a scene. `compute_silhouette` finds the pixels that a
+`trace` computes path lengths as arrays of shape (rows, cols). `trace_sparse` computes the same path lengths without
+storing the air beside the object. `check` lists all faults of a scene. `compute_silhouette` finds the pixels that a
 mesh covers.
 
-path_lengths        records that `trace` returns
-scene_check         `check` and its report
-surface_overlaps    surfaces whose outside material is wrong, and meshes that overlap themselves
-density_mismatch    surfaces whose outside density differs from that of the surrounding material
-negative_paths      negative path lengths and their causes
-detector_clearance  distance between the leg and the detector
-engines             projection of surfaces, ray casting (Embree, scanline) and integrals along rays
+Modules:
+
+- `path_lengths`: path lengths and ray counts, as returned by `trace`.
+- `scene_check`: the function `check` and its report.
+- `surface_overlaps`: detection of surfaces with a wrong outside material, and of meshes that overlap themselves.
+- `density_mismatch`: detection of surfaces whose outside density is not the density of the surrounding material.
+- `negative_paths`: detection of negative path lengths and their causes.
+- `detector_clearance`: distance between the leg and the detector.
+- `engines`: projection of surfaces, ray casting (Embree, scanline) and integrals along rays.
 """
 
 import reprlib
@@ -32,7 +34,7 @@ from ..core.checks import (
 from ..core.keyword_arguments import check_keywords
 from ..geometry.density import Density
 from ..geometry.mesh import Mesh
-from ..geometry.mesh_repair import require_usable_solid
+from ..geometry.mesh_repair import Solid, require_usable_solid
 from ..geometry.scene import (
     HasScene,
     Scene,
@@ -70,6 +72,7 @@ __all__ = [
     "Paths",
     "Report",
     "check",
+    "compute_face_silhouette",
     "compute_scene_silhouette",
     "compute_silhouette",
     "require_nonnegative_paths",
@@ -79,12 +82,12 @@ __all__ = [
 
 # Names of the ray casting engines.
 ENGINES = ("embree", "scanline")
-# Number types of the path lengths.
+# Floating-point types of path lengths.
 PRECISIONS = ("float32", "float64")
 # Path length map (rows, cols) of each material.
 Sums = dict[str, NDArray[Any]]
-# Each key is a material name with the id() of its density object. Each value has three entries: the density, the
-# crossings of its bounding surfaces with their signs, and the names of these surfaces.
+# Each key is a material name and the id() of the density object. Each value is a tuple of the density, the crossings of
+# the surfaces with this density (with signs), and the names of these surfaces.
 _DensityGroups = dict[tuple[str, int], tuple[Density, list[tuple[Crossings, int]], list[str]]]
 
 
@@ -104,31 +107,32 @@ def trace(
     Parameters
     ----------
     scene : Scene or object with a scene
-        Closed surfaces, or an object that has them, such as the result of ``build(knee)``.
+        Closed surfaces, or an object with the attribute `scene`, such as the result of ``build(knee)``.
     protocol : Protocol or View
-        Source and detector. A protocol with ``texture="none"`` also switches texture off.
+        Source and detector. A protocol with ``texture="none"`` also disables bone texture.
     engine : {"embree", "scanline"}, default "embree"
-        Ray caster. Embree casts rays and recomputes doubtful ones; the scanline engine projects triangles, in float64.
+        Ray casting engine. Embree casts rays in float32 and recomputes unreliable rays; the scanline engine projects
+        triangles in float64.
     materials : iterable of str, optional
         Materials to return; by default all except the ambient material. The path in the ambient material is measured
         only inside the bounding box of the scene.
     precision : {"float32", "float64"}, default "float32"
-        Number type of the path lengths. The rounding error of float32 is 4e-6 mm for a path of 100 mm.
+        Floating-point type of the path lengths. The rounding error of float32 is 4e-6 mm for a path of 100 mm.
     texture : bool, default True
-        If True, trabecular bone has its varying density. If False, the density of every material is constant.
+        If True, the density of trabecular bone varies in space. If False, the density of every material is constant.
     workers : int, default 2
         Number of threads, from 1 to 256; it does not change the result.
 
     Returns
     -------
     Paths
-        Path lengths in mm, (rows, cols) per material, and counts of cast and recomputed rays.
+        Path lengths in mm, as a map (rows, cols) of each material, and counts of cast and recomputed rays.
 
     Raises
     ------
     InputError
-        If engine, material or precision is unknown, or the scene cannot be traced (see `check`). Also if a path length
-        is below -0.05 mm, or a density does not return one finite number per segment.
+        If engine, material or precision is unknown, or the scene cannot be traced (see `check`). The error is also
+        raised if a path length is below -0.05 mm, or a density does not return one finite number per segment.
 
     Warns
     -----
@@ -171,32 +175,32 @@ def trace(
 def trace_sparse(
     scene: Scene, protocol: Protocol | View, *, engine: str = "embree", texture: bool = True, workers: int = 2
 ) -> tuple[dict[str, SparseMap], Audit]:
-    """Compute the path lengths of `trace` and store them without the air beside the object.
+    """Compute the path lengths of `trace`, stored without the air beside the object.
 
     Parameters
     ----------
     scene : Scene
         Closed surfaces.
     protocol : Protocol or View
-        Source and detector. A protocol with ``texture="none"`` also switches texture off.
+        Source and detector. A protocol with ``texture="none"`` also disables bone texture.
     engine : {"embree", "scanline"}, default "embree"
-        Ray caster.
+        Ray casting engine.
     texture : bool, default True
-        If True, trabecular bone has its varying density. If False, the density of every material is constant.
+        If True, the density of trabecular bone varies in space. If False, the density of every material is constant.
     workers : int, default 2
         Number of threads, from 1 to 256; it does not change the result.
 
     Returns
     -------
     path_mm : dict of str to SparseMap
-        Path lengths in mm, (rows, cols) per material except the ambient material.
+        Path lengths in mm, as a map (rows, cols) of each material except the ambient material.
     audit : Audit
-        Counts of the rays that were cast and repaired.
+        Counts of cast and recomputed rays.
 
     Raises
     ------
     InputError
-        Under the same conditions as `trace`.
+        For the same errors as in `trace`.
 
     Warns
     -----
@@ -209,14 +213,14 @@ def trace_sparse(
 
 
 def _has_no_texture(protocol: Protocol | View) -> bool:
-    """Check whether a protocol switches the texture of trabecular bone off."""
+    """Report whether a protocol disables the texture of trabecular bone."""
     return isinstance(protocol, Protocol) and protocol.texture == "none"
 
 
 def _fill_path_maps(
     scene: Scene, view: View, path_mm: Mapping[str, Any], engine: str, textureless: bool, workers: int
 ) -> Audit:
-    """Fill the path length maps (rows, cols), in mm, of the requested materials; return the counts of all rays."""
+    """Fill the path length maps (rows, cols) of the requested materials, in mm; return the ray counts."""
     require_choice("engine", engine, ENGINES)
     require_workers(workers)
     with ThreadPoolExecutor(workers) as pool:
@@ -232,11 +236,13 @@ def _fill_path_maps(
 
 
 def _select_materials(scene: Scene, materials: Iterable[str] | None) -> list[str]:
-    """Return the requested materials in the given order, without duplicates; by default all except the ambient one."""
+    """Return the requested materials in order, without duplicates; by default all except the ambient material."""
     if materials is None:
         return list(scene.materials[1:])
     if isinstance(materials, str) or not isinstance(materials, Iterable):
-        raise InputError(f"materials must be a list of {', '.join(scene.materials)}, got {reprlib.repr(materials)}")
+        raise InputError(
+            f"materials must be a list with names from {', '.join(scene.materials)}, got {reprlib.repr(materials)}"
+        )
     listed = list(materials)
     for material in listed:
         require_choice("material", material, scene.materials)
@@ -264,13 +270,39 @@ def compute_silhouette(mesh: "trimesh.Trimesh | Mesh", protocol: Protocol | View
         If the mesh does not bound a solid, or `protocol` is neither a Protocol nor a View.
     """
     view = resolve_view(protocol)
-    seen = np.zeros((view.rows, view.cols), np.bool_)
     if not len(mesh.faces):
-        return seen
+        return np.zeros((view.rows, view.cols), np.bool_)
     solid = Surface(mesh, "solid", "air").solid
     require_usable_solid(solid)
-    _add_silhouette(seen, project_surface(solid, view))
-    return seen
+    return _project_silhouette(solid, view)
+
+
+def compute_face_silhouette(mesh: Mesh, view: View) -> NDArray[np.bool_]:
+    """Find the pixels whose rays cross a face of a mesh, without checking that the mesh is closed.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Valid triangles in mm, such as the faces of an osteophyte.
+    view : View
+        Source and detector.
+
+    Returns
+    -------
+    (rows, cols) bool array
+        True where a ray crosses a face.
+    """
+    numbers = np.arange(len(mesh.vertices))
+    solid = Solid(points=mesh.vertices, faces=np.asarray(mesh.faces, np.int32), source_vertices=numbers)
+    return _project_silhouette(solid, view)
+
+
+def _project_silhouette(solid: Solid, view: View) -> NDArray[np.bool_]:
+    """Find the pixels (rows, cols) whose rays cross a surface."""
+    silhouette = np.zeros((view.rows, view.cols), np.bool_)
+    if len(solid.faces):
+        _add_silhouette(silhouette, project_surface(solid, view))
+    return silhouette
 
 
 def compute_scene_silhouette(scene: Scene, view: View) -> NDArray[np.bool_]:
@@ -286,7 +318,7 @@ def compute_scene_silhouette(scene: Scene, view: View) -> NDArray[np.bool_]:
     Returns
     -------
     (rows, cols) bool array
-        True where the ray to the pixel crosses such a surface.
+        True where the ray to the pixel crosses a surface in contact with the ambient material.
     """
     seen = np.zeros((view.rows, view.cols), np.bool_)
     for surface in scene.surfaces:
@@ -296,7 +328,7 @@ def compute_scene_silhouette(scene: Scene, view: View) -> NDArray[np.bool_]:
 
 
 def _add_silhouette(silhouette: NDArray[np.bool_], sheet: ProjectedSurface) -> None:
-    """Mark the pixels (rows, cols) whose rays cross a surface."""
+    """Mark the pixels of a silhouette (rows, cols) whose rays cross a surface."""
     columns = slice(*sheet.cols)
     for first in range(0, len(silhouette), BAND_ROWS):
         top, bottom = max(first, sheet.rows[0]), min(first + BAND_ROWS, sheet.rows[1])
@@ -306,7 +338,7 @@ def _add_silhouette(silhouette: NDArray[np.bool_], sheet: ProjectedSurface) -> N
 
 @dataclass(frozen=True)
 class _Layer:
-    """Surface with its inside and outside densities, its projection, and the ray caster for it."""
+    """Surface with its inside and outside densities, its projection and its ray caster."""
 
     surface: Surface
     densities: tuple[Density | None, Density | None]
@@ -319,7 +351,7 @@ def _build_layers(surfaces: list[Surface], view: View, engine: str, textureless:
 
     A surface that passes through the source raises InputError.
     """
-    # Embree is imported only when it is used, because the scanline engine does not need it.
+    # Embree is imported only if it is used, because the scanline engine does not need it.
     if engine == "embree":
         from .engines.embree import Caster
     else:
@@ -347,12 +379,14 @@ def _source_winding(sheet: ProjectedSurface, view: View, name: str) -> int:
     if (sheet.rows, sheet.cols) != ((0, view.rows), (0, view.cols)):
         sums.add(0.0)
     if len(sums) > 1:
-        raise InputError(f"{name}: source_mm must be inside or outside the surface, got {view.source_mm} mm on it")
+        raise InputError(
+            f"{name}: source_mm must be inside or outside the surface, got {view.source_mm} mm on the surface"
+        )
     return int(sums.pop())
 
 
 def _trace_band(scene: Scene, view: View, layers: list[_Layer], path_mm: Mapping[str, Any], first: int) -> Audit:
-    """Fill one band of rows in the path length map of every material; return the counts of its rays."""
+    """Fill one band of rows in the path length map of every material; return the ray counts of the band."""
     stop = min(first + BAND_ROWS, view.rows)
     sums = {material: np.zeros((stop - first, view.cols)) for material in path_mm}
     frame, touched, audits = make_ray_frame(view), {scene.ambient}, [Audit()]
@@ -375,8 +409,8 @@ def _trace_band(scene: Scene, view: View, layers: list[_Layer], path_mm: Mapping
             else:
                 _add_window(sums[material], chord, top - first, sheet.cols[0], sign)
     for (material, _), (density, parts, names) in varying.items():
-        # Surfaces that share a density are merged before the integration, because segments inside both would otherwise
-        # be integrated twice.
+        # Surfaces that share a density are merged before integration. Otherwise, segments inside both surfaces would be
+        # integrated twice.
         whole = merge_crossings(parts)
         try:
             integral = integrate_along_rays(whole, frame, density)
@@ -391,13 +425,13 @@ def _trace_band(scene: Scene, view: View, layers: list[_Layer], path_mm: Mapping
 
 
 def _add_window(sums: Array, lengths: Array, row: int, col: int, sign: int) -> None:
-    """Add lengths (rows, cols) to a window of `sums`, or subtract them if `sign` is negative."""
+    """Add lengths (rows, cols) to a window of `sums`, or subtract the lengths if `sign` is negative."""
     part = sums[row : row + lengths.shape[0], col : col + lengths.shape[1]]
     (np.add if sign > 0 else np.subtract)(part, lengths, out=part)
 
 
 def _cast_layer(layer: _Layer, top: int, bottom: int) -> tuple[Array, Crossings | None, Audit]:
-    """Compute the chords inside a surface and count its rays; also return the crossings if its density varies."""
+    """Compute the chords inside a surface and count its rays; also return the crossings if the density varies."""
     if layer.densities == (None, None):
         chord, audit = layer.caster.trace_chords(top, bottom)
         return chord, None, audit

@@ -28,7 +28,7 @@ def is_same_density(one: Density | None, other: Density | None) -> bool:
         return True
     try:
         return one is not None and bool(one == other)
-    except ValueError:  # Comparing array fields gives no single truth value.
+    except ValueError:  # Comparison of array fields returns an array instead of one truth value.
         return False
 
 
@@ -43,12 +43,13 @@ def find_density_faults(scene: Scene) -> list[Fault]:
     Returns
     -------
     list of Fault
-        One fault per surface whose outside material occurs inside other surfaces, but never with its `outside_density`.
+        One fault per surface whose outside material is inside other surfaces, but never with the specified
+        `outside_density`.
 
     Notes
     -----
-    A wrong `outside_density` removes the wrong amount of the outside material. Example: a screw in trabecular bone
-    without an `outside_density` removes bone at full density, so the bone path is too short.
+    A wrong `outside_density` removes the wrong amount of the outside material. For example, a screw in trabecular bone
+    without an `outside_density` removes bone at full density. The path in bone is then too short.
     """
     return [
         _make_density_fault(surface, around)
@@ -68,7 +69,7 @@ def require_matching_densities(scene: Scene) -> None:
     Raises
     ------
     InputError
-        If `find_density_faults` finds a fault. The message names each surface and the remedy.
+        If `find_density_faults` finds a fault. The message reports each surface with a remedy.
     """
     faults = find_density_faults(scene)
     if faults:
@@ -76,7 +77,7 @@ def require_matching_densities(scene: Scene) -> None:
 
 
 def _find_mismatched_surroundings(scene: Scene, surface: Surface) -> list[Surface]:
-    """List the possible surroundings of a surface if none has its `outside_density`; otherwise return an empty list."""
+    """List the possible surroundings of a surface; return an empty list if one of them has its `outside_density`."""
     around = [one for one in scene.surfaces if one.inside == surface.outside and one is not surface]
     held = [one.inside_density for one in around] + [None] * (surface.outside == scene.ambient)
     return [] if any(is_same_density(density, surface.outside_density) for density in held) else around
@@ -88,9 +89,12 @@ def _make_density_fault(surface: Surface, around: list[Surface]) -> Fault:
     names = " or ".join(one.name for one in around[:3]) + (" or others" if len(around) > 3 else "")
     return Fault(
         surface=surface.name,
-        problem=f"outside_density must be that of the {surface.outside} around it (inside {names}), got {given}",
+        problem=f"outside_density must be the density of the {surface.outside} around it (inside {names}), got {given}",
         count=0,
         first_items=(),
         outcome="error",
-        hint="pass that surface's inside_density, or insert the body with built.insert(mesh, material, name=)",
+        hint=(
+            "pass the inside_density of the surrounding surface, or insert the body with "
+            "built.insert(mesh, material, name=)"
+        ),
     )

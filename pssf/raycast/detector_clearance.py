@@ -12,25 +12,25 @@ from .engines.triangle_clipping import MIN_DEPTH_FRACTION
 
 
 def require_detector_clearance(scene: Scene, protocol: Protocol) -> None:
-    """Raise an error if the visible part of the leg reaches behind the detector.
+    """Raise an error if a part of the leg in the field of view is behind the detector.
 
     Parameters
     ----------
     scene : Scene
-        Closed surfaces of the leg; only surfaces in contact with air are used.
+        Closed surfaces of the leg; only surfaces in contact with the ambient material (air) are used.
     protocol : Protocol
         Source and detector.
 
     Raises
     ------
     InputError
-        If the leg reaches behind the detector. The message gives the largest allowed `sod_mm`.
+        If the leg extends behind the detector. The message reports the largest allowed `sod_mm`.
     """
     behind_mm = _depth_behind_detector_mm(scene, protocol)
     if behind_mm > 0:
         raise InputError(
             f"sod_mm must be at most {np.floor(protocol.sod_mm - behind_mm):g} mm with sdd_mm = {protocol.sdd_mm:g} mm,"
-            f" got {protocol.sod_mm:g} mm: the leg reaches {behind_mm:.1f} mm behind the detector"
+            f" got {protocol.sod_mm:g} mm: the leg extends {behind_mm:.1f} mm behind the detector"
         )
 
 
@@ -38,19 +38,19 @@ def move_clear_of_detector(scene: Scene, protocol: Protocol) -> Protocol:
     """Move the joint towards the source until the leg is in front of the detector.
 
     The distance `sod_mm` decreases in steps of 1 mm; most knees need no change. In reality, a large thigh touches the
-    detector cover and keeps the knee away from the detector.
+    detector cover, so that the knee is farther from the detector.
 
     Parameters
     ----------
     scene : Scene
-        Closed surfaces of the leg; only surfaces in contact with air are used.
+        Closed surfaces of the leg; only surfaces in contact with the ambient material (air) are used.
     protocol : Protocol
         Source and detector.
 
     Returns
     -------
     Protocol
-        The same protocol with the largest `sod_mm` that keeps the leg in front of the detector.
+        Protocol with the largest `sod_mm` for which the leg is in front of the detector.
     """
     while (behind_mm := _depth_behind_detector_mm(scene, protocol)) > 0:
         protocol = replace(protocol, sod_mm=round(protocol.sod_mm - float(np.ceil(behind_mm)), 3))
@@ -58,7 +58,7 @@ def move_clear_of_detector(scene: Scene, protocol: Protocol) -> Protocol:
 
 
 def _depth_behind_detector_mm(scene: Scene, protocol: Protocol) -> float:
-    """Measure how far the skin in the field of view reaches behind the detector, in mm; 0 or less if it is in front."""
+    """Measure how far the skin in the field of view extends behind the detector, in mm; 0 or less if it does not."""
     view = resolve_view(protocol)
     shares = [0.0]
     for surface in (one for one in scene.surfaces if one.outside == "air"):

@@ -1,4 +1,4 @@
-"""Find negative path lengths, explain their cause, and raise an error for those beyond the tolerance."""
+"""Find negative path lengths, explain their cause, and raise an error for path lengths beyond the tolerance."""
 
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -21,11 +21,11 @@ class ShortestPath(NamedTuple):
     Attributes
     ----------
     min_path_mm : float
-        Shortest path length, in mm; 0 if no ray has a negative one.
+        Shortest path length, in mm; 0 if no path length is negative.
     row, col : int
         Row and column of the pixel with the shortest path.
     negative_rays : int
-        Number of rays with a path length below the rounding error of 1e-4 mm.
+        Number of rays with a path length below -1e-4 mm, the limit of rounding errors.
     """
 
     min_path_mm: float
@@ -34,7 +34,7 @@ class ShortestPath(NamedTuple):
     negative_rays: int
 
 
-# Largest rounding error of a path length, in mm: 1e-6 for the scanline engine, 1e-4 for Embree.
+# Largest rounding error of path lengths, in mm; it is 1e-6 for the scanline engine and 1e-4 for Embree.
 _ROUNDING_MM = 1e-4
 
 
@@ -51,7 +51,7 @@ def find_shortest_paths(scene: Scene, view: View) -> dict[str, ShortestPath]:
     Returns
     -------
     dict of str to ShortestPath
-        Shortest path per material.
+        Shortest path of each material, keyed by material name.
     """
     least = {material: ShortestPath(0.0, 0, 0, 0) for material in scene.materials[1:]}
     sheets, frame = [project_surface(surface.solid, view) for surface in scene.surfaces], make_ray_frame(view)
@@ -75,22 +75,22 @@ def find_shortest_paths(scene: Scene, view: View) -> dict[str, ShortestPath]:
 
 
 def require_nonnegative_paths(path_maps: Mapping[str, Any], scene: Scene, view: View) -> None:
-    """Raise an error if a path length is more negative than small folds of a mesh and rounding can explain.
+    """Raise an error if a path length is too negative to be explained by small mesh folds and rounding.
 
     Parameters
     ----------
     path_maps : mapping of str to (rows, cols) array, mm
         Path length per material.
     scene : Scene
-        Scene that was traced.
+        Traced scene.
     view : View
-        Source and detector of the rays.
+        Source and detector that define the rays.
 
     Raises
     ------
     InputError
-        If a path length is below -0.05 mm. The message names the material, the length, the pixel and the surfaces
-        responsible.
+        If a path length is below -0.05 mm. The message reports the material, the path length, the pixel and the
+        surfaces that cause the error.
     """
     for material, lengths in path_maps.items():
         if not lengths.min() >= -OVERLAP_TOLERANCE_MM:
@@ -104,14 +104,14 @@ def require_nonnegative_paths(path_maps: Mapping[str, Any], scene: Scene, view: 
 
 
 def explain_negative_path(scene: Scene, view: View, material: str, row: int, col: int) -> str:
-    """Explain in words which surfaces or densities make a path length negative.
+    """Explain which surfaces or densities cause a negative path length.
 
     Parameters
     ----------
     scene : Scene
-        Scene that was traced.
+        Traced scene.
     view : View
-        Source and detector of the rays.
+        Source and detector that define the rays.
     material : str
         Material whose path length is negative.
     row, col : int
@@ -120,7 +120,7 @@ def explain_negative_path(scene: Scene, view: View, material: str, row: int, col
     Returns
     -------
     str
-        Reasons, separated by semicolons.
+        Explanations, separated by semicolons.
     """
     x, y, z = view.first_pixel_mm
     pixel = (x + col * view.pixel_mm, y, z - row * view.pixel_mm)
@@ -130,8 +130,8 @@ def explain_negative_path(scene: Scene, view: View, material: str, row: int, col
     concerned = [s for s in scene.surfaces if material in (s.inside, s.outside)]
     for fold in find_self_overlaps(scene, ray):
         if (surface := scene.surfaces[fold.surface]) in concerned:
-            reasons.append(f"{surface.name}: its mesh overlaps itself or is inside out there")
+            reasons.append(f"{surface.name}: mesh overlaps itself or is inside out along this ray")
     varying = any(s.inside_density if s.inside == material else s.outside_density for s in concerned)
     if not reasons and varying:
         reasons = ["the integral of a density is negative"]
-    return "; ".join(reasons) or "a surface names it as its outside where it is absent, or two surfaces overlap"
+    return "; ".join(reasons) or "a surface has the wrong outside material, or two surfaces overlap"

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from ..geometry.scene import Scene
 from ..geometry.view import View
 
-# Tolerance of negative path lengths and of overlaps, in mm. A closed mesh with microscopic folds gives negative path
-# lengths, because a ray at the outline may cross only the fold, and cross it inside out. One of 154 closed meshes of
-# bones and menisci from scans (Clouthier 2019, Lenhart 2015) has such folds. They are 0.0008 mm deep, and a ray along a
-# fold had a path length of -0.034 mm. The tolerance exceeds this length and is a third of a pixel. It changes the
-# transmission of bone by 0.4 % at 50 keV. It also applies to surfaces that nearly coincide, such as the common boundary
-# of two tissues.
+# Tolerance of negative path lengths and of overlaps, in mm. Microscopic mesh folds cause negative path lengths: a ray
+# at the outline may cross only the inverted surface of a fold. One of 154 closed meshes of scanned bones and menisci
+# (Clouthier 2019, Lenhart 2015) has microscopic folds. The folds are 0.0008 mm deep, and a ray along a fold had a path
+# length of -0.034 mm. The tolerance exceeds this path length and is a third of a pixel. A bone path of 0.05 mm changes
+# the transmission by 0.4 % at 50 keV. The tolerance also applies to surfaces that nearly coincide, such as the common
+# boundary of two tissues.
 OVERLAP_TOLERANCE_MM = 0.05
 
 
@@ -28,13 +28,14 @@ class Audit:
         Number of rays traced. The scanline engine includes all pixels in the bounding box of a projected surface, and
         Embree only the pixels whose rays cross the surface.
     unbalanced : int
-        Rays with missed crossings: too few crossings, or a wrong sum of crossing signs.
+        Number of rays with missed crossings: too few crossings, or a wrong sum of crossing signs.
     imprecise : int
-        Rays with a crossing that float32 cannot resolve, because it is too close to an edge or too grazing.
+        Number of rays with a crossing that float32 cannot resolve, because the ray is too close to an edge or almost
+        parallel to the surface.
     repaired : int
-        Rays recomputed in float64 by the scanline engine: all unbalanced and all imprecise rays.
+        Number of rays recomputed in float64 by the scanline engine: all unbalanced and all imprecise rays.
     unrepaired : int
-        Rays that are unbalanced even after recomputation; always 0.
+        Number of rays that are unbalanced even after recomputation; always 0.
     """
 
     rays: int = 0
@@ -44,12 +45,12 @@ class Audit:
     unrepaired: int = 0
 
     def counts(self) -> dict[str, int]:
-        """Return the counts as a mapping.
+        """Return the ray counts as a dictionary.
 
         Returns
         -------
         dict of str to int
-            Count per field name.
+            Each count, keyed by field name.
         """
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
@@ -65,13 +66,13 @@ class Paths:
     path_mm : dict of str to (rows, cols) array
         Path length in each material, in mm; at least -0.05 mm.
     audit : Audit
-        Counts of rays that were cast and repaired.
+        Counts of cast and recomputed rays.
     view : View
-        Source and detector of the rays.
+        Source and detector that define the rays.
     texture : str
         ``"none"`` if the density of every material was constant, else ``"trabecular"``.
     scene : Scene
-        Scene that was traced.
+        Traced scene.
     """
 
     path_mm: dict[str, NDArray[np.floating]]
@@ -95,7 +96,7 @@ class Paths:
 
 
 def sum_audits(audits: Iterable[Audit]) -> Audit:
-    """Add up the ray counts of several surfaces and bands of rows.
+    """Add the ray counts of several surfaces and bands of rows.
 
     Parameters
     ----------

@@ -24,26 +24,26 @@ from .negative_paths import explain_negative_path, find_shortest_paths
 from .path_lengths import OVERLAP_TOLERANCE_MM
 from .surface_overlaps import find_contradictions, find_self_overlaps
 
-# Number of sample rays along each side of the detector that covers the bounding box of a scene.
+# Number of sample rays along each side of a detector that covers the bounding box of the scene; assumed.
 _SAMPLE_RAYS_PER_SIDE = 128
-# Distance from the source of the sample rays to the centre of the scene, as a multiple of the scene size.
+# Distance from the sample ray source to the centre of the scene, as a multiple of the scene size; assumed.
 _SOURCE_DISTANCE_FACTOR = 7.3
-# Problem text of a surface outside the field of view; the command line searches faults for this text.
+# Problem text for a surface outside the field of view; the command-line interface searches the faults for it.
 COVERS_NO_PIXEL = "covers no pixel"
-# End of the problem text of faults whose count is a number of sample rays.
+# Final phrase in the problem text of faults that are counted in sample rays.
 _SAMPLE_RAYS_LABEL = "number of sample rays affected"
 
 
 @dataclass(frozen=True)
 class Report:
-    """Faults that `check` found.
+    """Scene faults that `check` found.
 
-    ``str(report)`` has one line per fault, or says that there are none.
+    ``str(report)`` has one line per fault, or the text "no faults".
 
     Attributes
     ----------
     faults : tuple of Fault
-        Faults of the scene in the order of `Scene.faults`, followed by warnings.
+        Faults in the order of `Scene.faults`, followed by warnings.
     """
 
     faults: tuple[Fault, ...]
@@ -64,21 +64,22 @@ def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> R
     Parameters
     ----------
     scene : Scene or object with a scene
-        Closed surfaces, or an object that has them, such as the result of ``build(knee)``.
+        Closed surfaces, or an object with the attribute `scene`, such as the result of ``build(knee)``.
     protocol : Protocol or View, optional
-        Source and detector. If given, path lengths are checked in this view, and surface parts behind the source,
-        behind the detector or outside the field are reported. If None, path lengths are checked along 128 x 128 rays
-        through the scene.
+        Source and detector. If specified, path lengths are checked in this view. Surface parts behind the source,
+        behind the detector or outside the field of view are reported. If None, path lengths are checked along 128 x 128
+        rays through the scene.
 
     Returns
     -------
     Report
-        All faults. ``report.ok`` is True if `trace` accepts the scene.
+        Report of all faults; ``report.ok`` is True if `trace` accepts the scene.
 
     Raises
     ------
     InputError
-        If `scene` is neither a Scene nor an object with one, or `protocol` is neither a Protocol nor a View.
+        If `scene` is neither a Scene nor an object with the attribute `scene`, or `protocol` is neither a Protocol nor
+        a View.
 
     See Also
     --------
@@ -90,9 +91,9 @@ def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> R
 
     - "error": `trace` raises InputError.
     - "repaired": `trace` repairs the mesh.
-    - "warning": `trace` uses the scene unchanged. Warnings are given for edges with more than two faces, and for
-      slightly negative path lengths. They are also given for meshes that overlap themselves, and for surfaces whose
-      outside material differs from the material that rays find around them.
+    - "warning": `trace` uses the scene unchanged. Edges with more than two faces and slightly negative path lengths
+      cause warnings. Meshes that overlap themselves cause warnings, and so do surfaces whose outside material differs
+      from the material that rays find around them.
 
     `check` does not look up material names. `simulate` raises an error for unknown materials before rays are cast.
 
@@ -150,61 +151,69 @@ def _find_nonmanifold_edges(surface: Surface) -> list[Fault]:
 
 
 def _find_dense_ambient(scene: Scene, tissue_table: Mapping[str, Tissue]) -> list[Fault]:
-    """Warn of an ambient material that is denser than a gas, if its density follows from its name."""
+    """Warn of an ambient material that is denser than a gas, if its density is known from its name."""
     tissue, _, given = tissue_table.get(scene.ambient), *scene.ambient.partition("@")[1:]
     try:
-        # A mixture of tissues has no entry for its density; it is denser than any gas, so 1 is assumed.
+        # The tissue table has no density for a mixture of tissues; a density of 1 is assumed, because any mixture is
+        # denser than gas.
         density = float(given) if tissue is None else tissue.density or 1.0
     except ValueError:
         return []
     if density <= DENSEST_GAS_G_PER_CM3:
         return []
-    hint = "simulate raises an error; put the scene into a closed surface of that material in air"
-    return [_make_warning_fault("ambient", f"{scene.ambient} attenuates nothing outside all surfaces", 0, (), hint)]
+    hint = f"simulate raises an error; enclose the scene in a closed surface of {scene.ambient}, in air"
+    return [_make_warning_fault("ambient", f"{scene.ambient} outside all surfaces does not attenuate", 0, (), hint)]
 
 
 def _find_overlaps(scene: Scene, sample: View, textureless: bool) -> list[Fault]:
     """Find meshes that overlap themselves, and surfaces with a wrong outside material, along sample rays.
 
-    If `textureless` is True, surfaces that differ only in density are not reported.
+    If `textureless` is True, materials that differ only in density are not reported.
     """
     faults = []
     for fold in find_self_overlaps(scene, sample):
         what = (
-            f"mesh overlaps itself or has a body inside out, over up to {fold.longest_mm:.3g} mm of a ray; "
+            f"mesh overlaps itself or is partly inside out, over up to {fold.longest_mm:.3g} mm of a ray; "
             f"{_SAMPLE_RAYS_LABEL}"
         )
-        name, hint = scene.surfaces[fold.surface].name, "the path counts once per turn of the mesh"
+        name, hint = (
+            scene.surfaces[fold.surface].name,
+            "the path length is multiplied by the winding number of the mesh",
+        )
         faults.append(_make_warning_fault(name, what, fold.rays, (), hint))
     contrary = [one for one in find_contradictions(scene, sample) if not (textureless and one.is_density_only)]
     pairs = {(one.surface, one.found_surface) for one in contrary}
     for one in contrary:
         mutual = (one.found_surface, one.surface) in pairs
-        hint = f"it and {one.found_surface} overlap" if mutual else "its outside material or its position is wrong"
+        hint = (
+            f"{one.surface} and {one.found_surface} overlap"
+            if mutual
+            else "outside material or surface position is wrong"
+        )
         faults.append(_make_warning_fault(one.surface, f"{one}; {_SAMPLE_RAYS_LABEL}", one.rays, (), hint))
     return faults
 
 
 def _find_negative_paths(scene: Scene, view: View) -> list[Fault]:
-    """Find materials with negative path lengths, within the tolerance or beyond it."""
+    """Find materials with negative path lengths, within the tolerance or beyond the tolerance."""
     faults = []
     for material, least in find_shortest_paths(scene, view).items():
         if least.min_path_mm < -OVERLAP_TOLERANCE_MM:
             what = f"path length is negative, down to {least.min_path_mm:.4g} mm; number of rays affected"
             hint = (
                 f"{explain_negative_path(scene, view, material, least.row, least.col)}; "
-                f"it must be {-OVERLAP_TOLERANCE_MM:g} mm or more"
+                f"the path length must be {-OVERLAP_TOLERANCE_MM:g} mm or more"
             )
             faults.append(replace(_make_warning_fault(material, what, least.negative_rays, (), hint), outcome="error"))
         elif least.negative_rays:
             what = f"path length is slightly negative, down to {least.min_path_mm:.4g} mm; number of rays affected"
-            hint = "this happens where a mesh is folded; it is traced as it is"
+            hint = "mesh folds are the usual cause; trace uses the mesh unchanged"
             faults.append(_make_warning_fault(material, what, least.negative_rays, (), hint))
     return faults
 
 
 def _make_sample_view(bounds_mm: Array) -> View:
-    """Make a view with nearly parallel, oblique rays that covers the whole bounding box."""
+    """Make a view with nearly parallel, oblique rays that covers the bounding box of a scene."""
     centre, size = bounds_mm.mean(axis=0), float(np.ptp(bounds_mm, axis=0).max())
     source = centre + size * np.array([0.0137, -_SOURCE_DISTANCE_FACTOR, 0.0173])
     magnified = (_SOURCE_DISTANCE_FACTOR + 1) / (_SOURCE_DISTANCE_FACTOR - 0.5)
@@ -227,7 +236,7 @@ def _find_parts_out_of_view(surface: Surface, view: View) -> list[Fault]:
         ("vertices behind the detector", int((depth > 1).sum())),
     ):
         if count:
-            faults.append(_make_warning_fault(surface.name, what, count, (), "no ray crosses that part"))
+            faults.append(_make_warning_fault(surface.name, what, count, (), "no ray crosses them"))
     if sheet.rows[0] >= sheet.rows[1] or sheet.cols[0] >= sheet.cols[1]:
-        faults.append(_make_warning_fault(surface.name, COVERS_NO_PIXEL, 0, (), "it is not in the image"))
+        faults.append(_make_warning_fault(surface.name, COVERS_NO_PIXEL, 0, (), "surface is not in the image"))
     return faults

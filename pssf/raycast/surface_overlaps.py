@@ -3,7 +3,7 @@
 At each point of a ray, every material has a count. The count is the number of enclosing surfaces with the material
 inside, minus the number with the material outside. In a correct scene, one material has the count 1 and all others have
 0. Where a count is negative, the surfaces crossed before and after the point are examined. The outside material of each
-is compared with the inside material of the innermost enclosing surface.
+   examined surface is compared with the inside material of the innermost enclosing surface.
 """
 
 from bisect import bisect
@@ -31,7 +31,7 @@ from .engines.projected_surface import (
 )
 from .path_lengths import OVERLAP_TOLERANCE_MM
 
-# Text after the name of a found material that differs from the stated outside material only in its density.
+# Suffix of the found material if it differs from the stated outside material only in density.
 _OTHER_DENSITY_SUFFIX = " of another density"
 
 
@@ -44,15 +44,15 @@ class Contradiction:
     surface : str
         Name of the surface.
     stated_material : str
-        Outside material that the surface states.
+        Outside material that the scene specifies for the surface.
     found_material : str
         Material that rays find around the surface.
     found_surface : str
-        Name of the surface with the found material inside; ``""`` for the ambient material.
+        Name of the surface that contains the found material; ``""`` for the ambient material.
     rays : int
-        Number of rays affected.
+        Number of affected rays.
     longest_mm : float
-        Length of the longest ray segment with wrong material counts due to the contradiction, in mm.
+        Longest ray segment with wrong material counts due to the contradiction, in mm.
     """
 
     surface: str
@@ -70,14 +70,14 @@ class Contradiction:
     def __str__(self) -> str:
         whose = f" ({self.found_surface})" if self.found_surface else ""
         where = f"over up to {self.longest_mm:.3g} mm of a ray"
-        return f"outside is {self.stated_material}, but {self.found_material}{whose} is there, {where}"
+        return f"outside is {self.stated_material}, but rays find {self.found_material}{whose}, {where}"
 
 
 class _OrderedCrossings(NamedTuple):
     """Crossings of rays with all surfaces of a scene, in order along each ray.
 
-    For each ray and surface, the number of exits equals the number of entries. The arrays have shape (n,): number of
-    the ray, distance from the source in mm, sign (-1 on entry, +1 on exit) and number of the surface.
+    For each ray and surface, the number of exits equals the number of entries. The arrays have shape (n,): ray number,
+    distance from the source in mm, sign (-1 on entry, +1 on exit) and surface number.
     """
 
     ray: NDArray[np.int64]
@@ -86,12 +86,12 @@ class _OrderedCrossings(NamedTuple):
     surface: NDArray[np.int64]
 
     def select(self, which: slice | NDArray[np.int64]) -> "_OrderedCrossings":
-        """Select some of the crossings.
+        """Select crossings by number.
 
         Parameters
         ----------
         which : slice or (k,) int64 array
-            Numbers of the crossings, in the order wanted.
+            Numbers of the crossings to select, in the required order.
 
         Returns
         -------
@@ -120,7 +120,7 @@ def find_contradictions(scene: Scene, view: View) -> tuple[Contradiction, ...]:
     for first, along in enumerate(_iterate_bands(scene, view)):
         for pattern, rays, at_mm in _group_by_pattern(scene, along):
             for what, run, shared in _find_pattern_contradictions(scene, pattern):
-                # A contradiction is reported for the part of a wrong segment that is inside both surfaces.
+                # The reported length is the segment inside both surfaces where the material counts are wrong.
                 ways_mm = np.minimum(*(at_mm[:, stop] - at_mm[:, start] for start, stop in (run, shared)))
                 place = first * BAND_ROWS * view.cols + rays
                 longest[what][place] = np.maximum(longest[what][place], ways_mm)
@@ -139,9 +139,9 @@ class SelfOverlap(NamedTuple):
     surface : int
         Number of the surface in the scene.
     rays : int
-        Number of rays affected.
+        Number of affected rays.
     longest_mm : float
-        Length of the longest ray segment affected, in mm.
+        Length of the longest affected ray segment, in mm.
     """
 
     surface: int
@@ -152,7 +152,7 @@ class SelfOverlap(NamedTuple):
 def find_self_overlaps(scene: Scene, view: View) -> list[SelfOverlap]:
     """Find meshes that overlap themselves or are inside out along the rays of a view.
 
-    Parts of a mesh that only touch do not count as an overlap.
+    Mesh parts that only touch are not an overlap.
 
     Parameters
     ----------
@@ -169,7 +169,8 @@ def find_self_overlaps(scene: Scene, view: View) -> list[SelfOverlap]:
     rays, longest = np.zeros(len(scene.surfaces), int), np.zeros(len(scene.surfaces))
     for along in _iterate_bands(scene, view):
         ray, at_mm, sign, surface = along.select(np.lexsort((along.distance_mm, along.ray, along.surface)))
-        # The crossing signs of each ray and surface add up to zero, so one cumulative sum serves all rays and surfaces.
+        # The crossing signs of each ray and surface add up to zero, so one cumulative sum is correct for all rays and
+        # surfaces.
         around = -np.cumsum(sign)
         stretch_mm = _distance_to_next_mm(ray, at_mm) * ((around < 0) | (around > 1))
         for number in np.unique(surface[stretch_mm > OVERLAP_TOLERANCE_MM]):
@@ -194,7 +195,7 @@ def _iterate_bands(scene: Scene, view: View) -> Iterator[_OrderedCrossings]:
 
 
 def _find_surface_crossings(sheet: ProjectedSurface, number: int, length_mm: Array, first: int) -> _OrderedCrossings:
-    """Find the crossings with one surface in the band that starts at row `first`.
+    """Find all crossings of rays with one surface, in the band that starts at row `first`.
 
     `length_mm` (rows, cols) are the ray lengths.
     """
@@ -205,7 +206,7 @@ def _find_surface_crossings(sheet: ProjectedSurface, number: int, length_mm: Arr
     crossings = scanline.find_crossings(sheet, top, bottom)
     pixels = (np.arange(top - first, bottom - first)[:, None] * cols + np.arange(*sheet.cols)).ravel()
     ray, sign = np.repeat(pixels, np.diff(crossings.starts)), crossings.sign.astype(np.int64)
-    # A ray with more exits than entries starts inside the surface; an entry at the source is added.
+    # A ray with more exits than entries starts inside the surface, so an entry is added at the source.
     total = np.bincount(ray, sign, rows * cols).astype(np.int64)
     begun = np.flatnonzero(total)
     ray, sign = np.concatenate((begun, ray)), np.concatenate((-total[begun], sign))
@@ -221,7 +222,7 @@ def _distance_to_next_mm(ray: NDArray[np.int64], at_mm: Array) -> Array:
 
 
 def _find_inconsistent(scene: Scene, along: _OrderedCrossings) -> NDArray[np.bool_]:
-    """Mark the crossings (n,) that are followed by a negative count of any material."""
+    """Mark the crossings (n,) after which any material has a negative count."""
     wrong = np.zeros(len(along.ray), np.bool_)
     sides, ambient = _number_contents(scene)
     for content in np.unique(np.append(sides, ambient)):
@@ -233,7 +234,7 @@ def _find_inconsistent(scene: Scene, along: _OrderedCrossings) -> NDArray[np.boo
 def _number_contents(scene: Scene) -> tuple[NDArray[np.int64], int]:
     """Number the contents of a scene; a content is a material together with its density.
 
-    Returns the contents inside and outside each surface, (surfaces, 2), and the number of the ambient content.
+    Returns the numbers of the contents inside and outside each surface, (surfaces, 2), and of the ambient content.
     """
     known: list[tuple[str, Density | None]] = [(scene.ambient, None)]
 
@@ -251,8 +252,8 @@ def _number_contents(scene: Scene) -> tuple[NDArray[np.int64], int]:
 class _CrossingPattern(NamedTuple):
     """Sequence of crossings that is common to a group of rays.
 
-    All fields have one entry per crossing. They are the number of the surface, the sign, whether material counts are
-    wrong after the crossing, and whether the next crossing is more than 0.05 mm away.
+    All fields have one entry per crossing: surface number, sign, whether material counts are wrong after the crossing,
+    and whether the next crossing is more than 0.05 mm away.
     """
 
     surface: tuple[int, ...]
@@ -288,7 +289,7 @@ def _group_by_pattern(
         )
 
 
-# First and last crossing of a range.
+# First and last crossing number of a range.
 _Span = tuple[int, int]
 
 
@@ -297,9 +298,9 @@ def _find_pattern_contradictions(
 ) -> Iterator[tuple[Contradiction, _Span, _Span]]:
     """Find the contradictions in a crossing pattern.
 
-    Yields each contradiction with two ranges of crossings: where counts are wrong, and where both surfaces enclose the
-    ray. Crossings less than 0.05 mm apart are reordered to a consistent sequence if one exists, because two surfaces
-    may share a boundary.
+    Yields each contradiction with two ranges of crossings: where material counts are wrong, and where both surfaces
+    enclose the ray. Because two surfaces may share a boundary, crossings less than 0.05 mm apart are reordered to a
+    consistent sequence if possible.
     """
     spans, runs, of_surface = (
         _find_spans(pattern),
@@ -330,7 +331,7 @@ def _find_pattern_contradictions(
 
 
 def _make_contradiction(scene: Scene, number: int, owner: int | None) -> Contradiction:
-    """Describe a surface whose outside material differs from that of its innermost enclosing surface (`owner`)."""
+    """Describe the contradiction between a surface and its innermost enclosing surface (`owner`)."""
     surface, around = scene.surfaces[number], None if owner is None else scene.surfaces[owner]
     there, name = (scene.ambient, "") if around is None else (around.inside, around.name)
     if there == surface.outside:
@@ -354,7 +355,7 @@ def _find_spans(pattern: _CrossingPattern) -> dict[int, _Span]:
 
 
 def _find_inconsistent_runs(pattern: _CrossingPattern) -> list[_Span | None]:
-    """Return the range of wrong counts around each crossing that is followed by wrong counts, else None."""
+    """Return, per crossing, the range with wrong material counts that contains it, or None if counts are correct."""
     runs: list[_Span | None] = [None] * len(pattern.sign)
     stretches = list(enumerate(zip(pattern.inconsistent, pattern.next_is_far, strict=True)))
     wrong = [k for k, (amiss, long) in stretches if amiss and long]
@@ -367,7 +368,7 @@ def _find_inconsistent_runs(pattern: _CrossingPattern) -> list[_Span | None]:
 
 
 def _intersect_spans(span: _Span, others: list[_Span], crossing: int) -> _Span:
-    """Intersect the span of one surface with the span of another surface that is nearest to a crossing."""
+    """Intersect the span of one surface with the span of another surface that is closest to a crossing."""
     nearest = min(others, key=lambda other: max(other[0] - crossing, crossing - other[1], 0))
     start = max(span[0], nearest[0])
     return start, max(start, min(span[1], nearest[1]))

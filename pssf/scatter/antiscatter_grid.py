@@ -1,4 +1,4 @@
-"""Anti-scatter grid: lead strips along the leg that transmit primary radiation and absorb most of the scatter."""
+"""Anti-scatter grid: lead strips parallel to the leg axis that transmit primary radiation and absorb most scatter."""
 
 from dataclasses import dataclass, replace
 
@@ -9,18 +9,18 @@ from ..model.protocol import Protocol
 from ..xray.materials import Material, attenuation_per_mm, parse_compound
 from ..xray.spectrum import Beam
 
-# Half the size of the irradiated exit surface of a limb, across the strips and along them, in mm (assumed).
+# Half-sizes of the irradiated exit surface of a limb, across the strips and along the strips, in mm; assumed.
 _EXIT_FACE_HALF_SIZE_MM = (80.0, 150.0)
-# Depth below the exit surface at which the scatter originates, in mm (assumed; Sorenson and Floch 1985 find 150 to 200
-# mm for a trunk).
+# Depth below the exit surface at which scatter originates, in mm; assumed (Sorenson and Floch 1985: 150 to 200 mm for a
+# trunk).
 _SCATTER_DEPTH_MM = 40.0
-# Thickness of the limb that hardens the beam in front of the grid, in mm.
+# Thickness of the limb that hardens the beam in front of the grid, in mm; assumed.
 _LIMB_THICKNESS_MM = 100.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Grid:
-    """Focused grid of lead strips with aluminium between them; covers are neglected.
+    """Focused grid of lead strips with aluminium interspaces; grid covers are neglected.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class Grid:
     Raises
     ------
     InputError
-        If a number is out of range, or the strips are so thick that no gap remains between them.
+        If a number is out of range, or the strips are so thick that no gap remains between strips.
     """
 
     ratio: float = 10.0
@@ -66,7 +66,7 @@ def make_grid(protocol: Protocol) -> Grid:
     Raises
     ------
     InputError
-        If the strips are so thick that no gap remains between them.
+        If the strips are so thick that no gap remains between strips.
     """
     return Grid(ratio=protocol.grid_ratio, lines_per_cm=protocol.grid_lines_per_cm)
 
@@ -102,8 +102,8 @@ def compute_scatter_transmission(grid: Grid, beam: Beam, gap_mm: float, limb: Ma
     beam : Beam
         Beam without an object.
     gap_mm : float
-        Distance from the exit surface of the object to the detector, in mm. The larger it is, the smaller are the
-        angles of incidence of the scatter.
+        Distance from the exit surface of the object to the detector, in mm. A larger gap decreases the incidence angles
+        of the scatter.
     limb : Material
         Material of the limb, which hardens the beam in front of the grid.
 
@@ -114,9 +114,10 @@ def compute_scatter_transmission(grid: Grid, beam: Beam, gap_mm: float, limb: Ma
 
     Notes
     -----
-    The transmission of a photon is exp(-attenuation in lead and aluminium), with the geometry of Day and Dance 1983. It
-    is averaged over positions across a strip, over directions with uniform radiance from the exit surface, and over the
-    energies of the beam behind the limb. Scatter in the grid and fluorescence of the lead are neglected.
+    The transmission of a photon is exp(-attenuation in lead and aluminium), with the geometry of Day and Dance 1983.
+    The transmission is averaged over positions across the strips, over directions with uniform radiance from the exit
+    surface, and over the photon energies behind the limb. Scatter in the grid and fluorescence of the lead are
+    neglected.
     """
     weights = beam.photons_per_mm2 * beam.signal_kev
     weights = weights * np.exp(-attenuation_per_mm(limb, beam.energies_kev) * _LIMB_THICKNESS_MM)
@@ -128,7 +129,7 @@ def compute_scatter_transmission(grid: Grid, beam: Beam, gap_mm: float, limb: Ma
     slopes = across / (gap_mm + _SCATTER_DEPTH_MM)
     lengths = np.sqrt(far2) / (gap_mm + _SCATTER_DEPTH_MM)
     mu = _strip_attenuation_per_mm(beam)
-    # The transmission is symmetric in the slope, so only slopes of one sign are computed.
+    # The transmission is symmetric in the slope, so only non-negative slopes are computed.
     right = len(slopes) // 2
     passed = [
         _compute_transmission(grid, mu, slope, line)
@@ -144,7 +145,7 @@ def _strip_attenuation_per_mm(beam: Beam) -> Array:
 
 
 def _compute_transmission(grid: Grid, mu: Array, slope: float, lengths: Array) -> Array:
-    """Compute the transmission (directions, energies) of photons with a given slope across the strips.
+    """Compute the transmission (directions, energies) of photons, for one slope across the strips.
 
     `slope` is the displacement across the strips in mm per mm of depth.
 

@@ -1,4 +1,4 @@
-"""Monte Carlo simulation of scatter: slow, and the reference to which the fast scatter kernel is fitted."""
+"""Monte Carlo simulation of scatter: a slow reference method to which the fast scatter kernel is fitted."""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -26,19 +26,19 @@ from .voxel_grid import Voxels, voxelise_scene
 
 # Side length of a detector cell in which absorbed energy is summed, in mm.
 _CELL_MM = 8.0
-# Standard deviation of the Gaussian that smooths the scatter map, in cells.
+# Standard deviation of the Gaussian filter that smooths the scatter map, in cells.
 _SMOOTH_CELLS = 1.0
 # Default voxel size, in mm.
 _VOXEL_MM = 2.0
 # Number of voxels above which the default voxel size is increased.
 _MAX_VOXELS = 10e6
-# Number of batches of photons. It does not depend on the number of workers. The spread between batches gives the
+# Number of photon batches, which is independent of the number of workers. The spread between batches gives the
 # statistical error.
 _BATCHES = 32
-# Spawn key of the random stream of the photons, combined with the seed; shape, pose and noise have other keys.
+# Spawn key of the random stream for photons, combined with the seed; shape, pose and noise have other spawn keys.
 _SEED_STREAM = 4
-# Thickness of muscle for the sampling of photon energies, in mm. Half of the energies are sampled from the signal
-# spectrum of the open beam, and half from the signal spectrum behind muscle of this thickness.
+# Thickness of muscle for sampling photon energies, in mm; assumed. Half of the energies are sampled from the signal
+# spectrum of the open beam, and half from the signal spectrum behind this thickness.
 _MUSCLE_THICKNESS_MM = 60.0
 
 
@@ -50,13 +50,14 @@ class PhotonTally:
     ----------
     primary_kev, scatter_kev : (batches, rows, cols) float64 array
         Energy of unscattered and of scattered photons that the detector absorbs per cell, in keV for the mAs of the
-        protocol. The mean over batches is the estimate, and the spread between batches gives its error.
+        protocol. The mean over batches is the estimate, and the spread between batches determines the statistical
+        error.
     pixels : (rows, cols) float64 array
         Number of pixels per cell; cells at the lower and right edge may have fewer.
     pixels_per_cell : int
         Number of pixels along the side of a cell.
     energy_kev : (4,) float64 array
-        Energy emitted, absorbed in the scene, incident on the detector, and missing the detector, in keV.
+        Energies emitted, absorbed in the scene, incident on the detector, and missing the detector, in keV.
     """
 
     primary_kev: Array
@@ -80,10 +81,10 @@ def compute_monte_carlo_scatter_kev(
     technique : Technique
         Resolved protocol.
     photons : int, default 20_000_000
-        Number of photons aimed at the irradiated part of the scene. The error decreases with the square root of this
-        number.
+        Number of photons aimed at the irradiated part of the scene. The statistical error is inversely proportional to
+        the square root of the number of photons.
     seed : int, default 0
-        Seed of the random numbers. The same seed gives identical results for any number of workers.
+        Seed of the random numbers. The same seed yields identical results for any number of workers.
     workers : int, default 2
         Number of threads, from 1 to 256.
 
@@ -137,12 +138,12 @@ def simulate_photons(
     cell_mm : float, default 8
         Side length of a cell in mm, which is rounded to whole pixels.
     voxel_mm : float, optional
-        Voxel size, in mm. By default 2 mm, or larger for scenes that would need more than 10 million voxels.
+        Voxel size, in mm. The default is 2 mm; it is larger for scenes that would need more than 10 million voxels.
 
     Returns
     -------
     PhotonTally
-        Energy absorbed per cell and batch.
+        Absorbed energy in each cell and photon batch, and energy balance.
 
     Raises
     ------
@@ -184,7 +185,7 @@ def _voxelise_before_detector(scene: Scene, view: View, voxel_mm: float | None) 
     """Voxelise the part of a scene between source and detector."""
     bounds = scene.bounds_mm.copy()
     bounds[:, 1] = np.clip(bounds[:, 1], view.source_mm[1], view.centre_mm[1])
-    # A scene outside the space between source and detector is reduced to a thin sheet.
+    # A scene that is not between source and detector is reduced to a thin sheet.
     bounds[0, 1] = min(bounds[0, 1], bounds[1, 1] - 0.001)
     size = voxel_mm or max(_VOXEL_MM, float(np.prod(np.ptp(bounds, axis=0)) / _MAX_VOXELS) ** (1 / 3))
     return voxelise_scene(scene, bounds, voxel_mm=size)
@@ -197,8 +198,8 @@ def _make_transport_setup(voxels: Voxels, technique: Technique, cell_mm: float) 
     energies, photons, signal = (v[kept] for v in (beam.energies_kev, beam.photons_per_mm2, beam.signal_kev))
     left = (photons if photons.any() else np.ones_like(photons)) * signal
     passed = left * np.exp(-attenuation_per_mm(technique.material("muscle"), energies) * _MUSCLE_THICKNESS_MM)
-    # Energies are sampled from the mean of the two distributions, which limits the photon weights behind thick and thin
-    # tissue.
+    # Energies are sampled from the mean of the two distributions, so that photon weights stay limited behind both thick
+    # and thin tissue.
     chance = left / left.sum() / 2 + passed / passed.sum() / 2
     chosen = np.cumsum(chance)
     chosen[-1] = 1.0
@@ -218,14 +219,14 @@ def _make_transport_setup(voxels: Voxels, technique: Technique, cell_mm: float) 
 
 
 def _detector_bounds_mm(view: View) -> Array:
-    """Compute the bounds (4,) of the detector in mm, up to the outer pixel edges: x min, x max, z min, z max."""
+    """Compute the detector bounds (4,) in mm, up to the outer pixel edges: x min, x max, z min, z max."""
     half_x, half_z = view.cols * view.pixel_mm / 2, view.rows * view.pixel_mm / 2
     x, _, z = view.centre_mm
     return np.array([x - half_x, x + half_x, z - half_z, z + half_z])
 
 
 def _irradiated_bounds_mm(technique: Technique, field: Array) -> Array:
-    """Compute the bounds (4,) of the irradiated part of the detector in mm, for sharp collimator edges."""
+    """Compute the bounds (4,) of the irradiated detector area in mm, for sharp collimator edges."""
     x, _, z = technique.view.centre_mm
     half_x, half_z = field_half_size_mm(technique)
     lit = np.array([x - half_x, x + half_x, z - half_z, z + half_z])
@@ -233,7 +234,7 @@ def _irradiated_bounds_mm(technique: Technique, field: Array) -> Array:
 
 
 def _aim_bounds_mm(voxels: Voxels, view: View, field: Array) -> Array:
-    """Compute the bounds (4,) of the part of the field behind the voxel grid, in mm."""
+    """Compute the bounds (4,) of the part of the field that is behind the voxel grid, in mm."""
     source, corners = np.array(view.source_mm), np.array([voxels.origin_mm, voxels.upper_mm])
     depth = (corners[:, 1] - source[1]) / (view.centre_mm[1] - source[1])
     if depth.min() < 1e-6:
@@ -247,5 +248,5 @@ def _aim_bounds_mm(voxels: Voxels, view: View, field: Array) -> Array:
 
 
 def _smooth_cells(cells: Array) -> Array:
-    """Smooth a map of cells (rows, cols), with zeros outside the detector."""
+    """Smooth a map of detector cells (rows, cols), with zeros outside the detector."""
     return np.asarray(ndimage.gaussian_filter(cells, _SMOOTH_CELLS, mode="constant"))

@@ -1,4 +1,4 @@
-"""Interaction tables for the Monte Carlo simulation (xraylib cross sections of free atoms, mixed by mass fraction)."""
+"""Interaction tables for the Monte Carlo simulation: xraylib cross sections of free atoms, mixed by mass fraction."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -10,11 +10,11 @@ from ..core.checks import Array
 from ..data.imaging.detector_table import Detector
 from ..xray.materials import Material, absorbed_fraction
 
-# Energy below which a photon is absorbed locally, in keV.
+# Cut-off energy below which a photon is absorbed locally, in keV; assumed.
 CUT_OFF_KEV = 5.0
-# Energy step of the tables, in keV; values in between are interpolated linearly.
+# Energy step of the interaction tables, in keV; values between steps are interpolated linearly.
 STEP_KEV = 0.5
-# Step of the tables in momentum transfer, x = sin(angle / 2) / wavelength, in 1/angstrom.
+# Step of the interaction tables in momentum transfer x = sin(angle / 2) / wavelength, in 1/angstrom.
 STEP_X = 0.02
 # Planck constant times speed of light, in keV angstrom; wavelength = HC_KEV_A / energy.
 HC_KEV_A = 12.398419843
@@ -29,15 +29,15 @@ class InteractionTables(NamedTuple):
     Attributes
     ----------
     photoelectric, compton, rayleigh : (materials, energies) float64 array
-        Linear attenuation by each interaction, in 1/mm.
+        Linear attenuation coefficient of each interaction, in 1/mm.
     incoherent_function : (materials, x) float64 array
-        Incoherent scattering function divided by the number of electrons, from 0 to 1.
+        Incoherent scattering function divided by the number of electrons, from 0 to 1, at each momentum transfer x.
     x_squared : (nodes,) float64 array
-        Squares of x at which `coherent_integral` is tabulated, in 1/angstrom2.
+        Squared momentum transfers at which `coherent_integral` is tabulated, in 1/angstrom2.
     coherent_integral : (materials, nodes) float64 array
-        Integral of the squared form factor over x squared, from 0.
+        Integral of the squared form factor over the squared momentum transfer, from 0 to each node.
     scintillator_depth : (energies,) float64 array
-        Optical depth of the scintillator at normal incidence, dimensionless.
+        Optical depth of the scintillator at normal incidence, per photon energy, dimensionless.
     """
 
     photoelectric: Array
@@ -51,12 +51,12 @@ class InteractionTables(NamedTuple):
 
 @lru_cache(maxsize=8)
 def make_interaction_tables(materials: tuple[Material, ...], max_kev: float, detector: Detector) -> InteractionTables:
-    """Make the interaction tables of materials, and of the detector that absorbs the photons.
+    """Make the interaction tables of the scene materials and of the detector.
 
     Parameters
     ----------
     materials : tuple of Material
-        Materials in the order of their numbers in the voxel grid.
+        Materials in the order of their voxel numbers.
     max_kev : float
         Largest photon energy, in keV.
     detector : Detector
@@ -65,13 +65,14 @@ def make_interaction_tables(materials: tuple[Material, ...], max_kev: float, det
     Returns
     -------
     InteractionTables
-        Tables from the cut-off to the largest energy.
+        Interaction tables from the cut-off energy to the largest energy.
 
     Notes
     -----
-    Compton scattering is from free electrons at rest, without Doppler broadening. Its angular distribution is weighted
-    with the incoherent scattering function. Coherent scattering is from free atoms, without interference between
-    molecules. Photoelectric absorption deposits the whole photon energy locally, without fluorescence.
+    Compton scattering assumes free electrons at rest, without Doppler broadening. The angular distribution of Compton
+    scattering is weighted with the incoherent scattering function. Coherent scattering assumes free atoms, without
+    interference between molecules. Photoelectric absorption deposits the entire photon energy locally, without
+    fluorescence.
     """
     steps = int(np.ceil((max_kev - CUT_OFF_KEV) / STEP_KEV)) + 1
     energies = np.linspace(CUT_OFF_KEV, CUT_OFF_KEV + steps * STEP_KEV, steps + 1)
@@ -103,9 +104,9 @@ def _mixture_cross_sections(kind: str, parts: tuple[tuple[int, float], ...], ene
 
 
 def _incoherent_function(parts: tuple[tuple[int, float], ...], x: Array) -> Array:
-    """Compute the incoherent scattering function per electron of a mixture at x (nodes,), from 0 to 1."""
+    """Compute the incoherent scattering function per electron of a mixture at x (nodes,) 1/angstrom, from 0 to 1."""
     electrons = sum(w * z / xraylib.AtomicWeight(z) for z, w in parts)
-    # xraylib has no value at x = 0, where the function is 0.
+    # xraylib has no value at x = 0, where the incoherent scattering function is 0.
     scattering = sum(
         w / xraylib.AtomicWeight(z) * np.array([0.0, *(xraylib.SF_Compt(z, float(v)) for v in x[1:])]) for z, w in parts
     )
@@ -113,7 +114,7 @@ def _incoherent_function(parts: tuple[tuple[int, float], ...], x: Array) -> Arra
 
 
 def _coherent_integral(parts: tuple[tuple[int, float], ...], x: Array) -> Array:
-    """Integrate the squared form factor of a mixture over x squared, from 0 to each node of x (nodes,)."""
+    """Integrate the squared form factor of a mixture over squared momentum transfer, from 0 to each node x (nodes,)."""
     squares = sum(
         w / xraylib.AtomicWeight(z) * np.array([xraylib.FF_Rayl(z, float(v)) for v in x]) ** 2 for z, w in parts
     )

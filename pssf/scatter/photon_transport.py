@@ -21,13 +21,13 @@ from .photon_interactions import (
 
 # Rest energy of the electron, in keV.
 _ELECTRON_KEV = 510.99895
-# Index of the emitted energy in the energy balance of a batch.
+# Index of the emitted energy in the energy balance of a photon batch.
 EMITTED = 0
-# Index of the energy absorbed in the scene, in the energy balance.
+# Index of the energy absorbed in the scene, in the energy balance of a photon batch.
 ABSORBED = 1
-# Index of the energy incident on the detector, in the energy balance.
+# Index of the energy incident on the detector, in the energy balance of a photon batch.
 ON_FIELD = 2
-# Index of the energy that misses the detector, in the energy balance.
+# Index of the energy that misses the detector, in the energy balance of a photon batch.
 PAST = 3
 
 
@@ -39,9 +39,9 @@ class TransportSetup(NamedTuple):
     source : (3,) float64 array
         Position of the source, in mm.
     detector_y_mm : float
-        Position of the detector plane along y, in mm.
+        y coordinate of the detector plane, in mm.
     window : (4,) float64 array
-        Target area on the detector plane, towards which photons are emitted: x min, x max, z min, z max, in mm.
+        Target area on the detector plane for emitted photons: x min, x max, z min, z max, in mm.
     field : (5,) float64 array
         Bounds of the detector (x min, x max, z min, z max) and side length of a tally cell, in mm.
     energies : (bins,) float64 array
@@ -51,9 +51,9 @@ class TransportSetup(NamedTuple):
     weights : (bins,) float64 array
         Statistical weight of one sampled photon of each energy, in photons per mm2 at 1 m.
     material : (x, y, z) uint8 array
-        Number of the material of each voxel.
+        Material number of each voxel.
     origin : (3,) float64 array
-        Lower corner of the voxels, in mm.
+        Lower corner of the voxel grid, in mm.
     size : (3,) float64 array
         Size of a voxel, in mm.
     """
@@ -79,7 +79,7 @@ def follow_photons(
     counts: Array,
     energy: Array,
 ) -> None:
-    """Transport photons until they are absorbed or leave the scene, and add up the energy that they deposit.
+    """Transport photons until absorption or exit from the scene, and add up the deposited energy.
 
     Parameters
     ----------
@@ -92,10 +92,11 @@ def follow_photons(
     tables : InteractionTables
         Interaction tables of the materials.
     counts : (2, rows, cols) float64 array, keV
-        Energy absorbed by the scintillator times weight, of unscattered and of scattered photons; updated in place.
+        Energy absorbed by the scintillator, multiplied by the photon weight, for unscattered and scattered photons;
+        updated in place.
     energy : (4,) float64 array, keV
-        Energy times weight, updated in place: emitted, absorbed in the scene, incident on the detector, missing the
-        detector.
+        Energy multiplied by photon weight: emitted, absorbed in the scene, incident on the detector, missing the
+        detector; updated in place.
     """
     photon, mu = np.empty(7), np.empty(len(tables.photoelectric))
     for _ in range(photons):
@@ -135,7 +136,7 @@ def _sample_uniform(s: NDArray[np.uint64]) -> float:
 
 @kernel_helper(inline="always")
 def _find_first_above(values: Array, threshold: float) -> int:
-    """Return the index of the first ascending value above a threshold, or of the last value if none is."""
+    """Return the index of the first ascending value above a threshold, or the last index if no value is above it."""
     low, high = 0, len(values) - 1
     while low < high:
         middle = (low + high) // 2
@@ -148,7 +149,7 @@ def _find_first_above(values: Array, threshold: float) -> int:
 
 @kernel_helper()
 def _emit_photon(photon: Array, stream: NDArray[np.uint64], setup: TransportSetup) -> float:
-    """Start a photon at the source towards a point sampled uniformly in the window; return the photon's weight."""
+    """Emit a photon from the source towards a point sampled uniformly in the window; return the photon weight."""
     x = setup.window[0] + _sample_uniform(stream) * (setup.window[1] - setup.window[0]) - setup.source[0]
     z = setup.window[2] + _sample_uniform(stream) * (setup.window[3] - setup.window[2]) - setup.source[2]
     y = setup.detector_y_mm - setup.source[1]
@@ -163,7 +164,7 @@ def _emit_photon(photon: Array, stream: NDArray[np.uint64], setup: TransportSetu
 
 @kernel_helper()
 def _move_to_voxels(photon: Array, setup: TransportSetup) -> None:
-    """Move a photon from the source to its entry point into the voxel grid, if it meets the grid."""
+    """Move a photon from the source to its entry point into the voxel grid, if its ray hits the grid."""
     near, far = 0.0, np.inf
     for axis in range(3):
         low = setup.origin[axis] - photon[axis]
@@ -189,7 +190,7 @@ def _interpolate(table: Array, place: float) -> float:
 
 @kernel_helper()
 def _fill_attenuation(kev: float, tables: InteractionTables, mu: Array) -> float:
-    """Fill `mu` (materials,) with the attenuation coefficients in 1/mm at an energy; return the largest coefficient."""
+    """Fill `mu` (materials,) with attenuation coefficients at an energy, in 1/mm; return the largest coefficient."""
     most, place = 0.0, (kev - CUT_OFF_KEV) / STEP_KEV
     for m in range(len(mu)):
         mu[m] = (
@@ -280,7 +281,8 @@ def _sample_compton(kev: float, stream: NDArray[np.uint64], incoherent_function:
 def _sample_rayleigh(kev: float, stream: NDArray[np.uint64], x2: Array, coherent: Array) -> float:
     """Sample the cosine of the scattering angle of coherent scattering.
 
-    The squared momentum transfer is sampled from the form factors, and the Thomson angular factor by rejection.
+    The squared momentum transfer is sampled from the form factors; rejection sampling applies the Thomson angular
+    factor.
     """
     most = (kev / HC_KEV_A) ** 2
     node = max(_find_first_above(x2, most), 1)
@@ -298,7 +300,7 @@ def _sample_rayleigh(kev: float, stream: NDArray[np.uint64], x2: Array, coherent
 
 @kernel_helper()
 def _rotate_direction(photon: Array, cosine: float, stream: NDArray[np.uint64]) -> None:
-    """Rotate the direction of a photon by an angle with the given cosine, at a random azimuth."""
+    """Rotate the direction of a photon by a scattering angle, specified by its cosine, at a random azimuth."""
     u, v, w = photon[3], photon[4], photon[5]
     sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
     angle = 2.0 * math.pi * _sample_uniform(stream)
@@ -310,7 +312,7 @@ def _rotate_direction(photon: Array, cosine: float, stream: NDArray[np.uint64]) 
         photon[5] = w * cosine - across * a
     else:
         photon[3], photon[4], photon[5] = a, b, math.copysign(cosine, w * cosine)
-    # The direction is normalised, because rounding errors would add up over many interactions.
+    # The direction is normalised, because rounding errors would accumulate over many interactions.
     norm = 1.0 / math.sqrt(photon[3] ** 2 + photon[4] ** 2 + photon[5] ** 2)
     photon[3:6] *= norm
 
@@ -325,10 +327,10 @@ def _tally_photon(
     counts: Array,
     energy: Array,
 ) -> None:
-    """Add the energy of a photon that has left the grid to the detector cell that it meets, if any."""
+    """Add the energy of a photon that has left the voxel grid to the detector cell that it hits, if any."""
     x0, x1, z0, z1, cell = setup.field
     if photon[4] > 0.0:
-        # A photon behind the detector plane after its last step is moved back to the plane (`way` is negative).
+        # If the last step ends behind the detector plane, the photon is moved back to the plane (`way` is negative).
         way = (setup.detector_y_mm - photon[1]) / photon[4]
         x, z = photon[0] + way * photon[3], photon[2] + way * photon[5]
         if x0 <= x < x1 and z0 < z <= z1:

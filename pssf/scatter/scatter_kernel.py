@@ -21,20 +21,21 @@ from ..xray.collimator import compute_transmission_factors, is_collimated
 from ..xray.resolved_technique import Technique
 from ..xray.spectrum import compute_beam, heel_factor
 
-# Side length of a cell of the coarse grid, in mm.
+# Side length of a coarse grid cell, in mm.
 _CELL_MM = 9.6
-# Number of rays along each side of the field for the measurement of air gaps.
+# Number of rays along each side of the square around the field, for the computation of air gaps.
 _LOOKS = 32
-# Index range of the rays in the middle quarter of the field, for rows and for columns.
+# Index range of the rays in the middle quarter of the square, for rows and columns.
 _MIDDLE = slice(12, 20)
-# Largest step between the air gaps for which the kernel is computed, in mm; results are interpolated in between.
+# Maximum spacing of the air gaps for which the kernel is computed, in mm; scatter at other gaps is interpolated.
 _GAP_STEP_MM = 20.0
-# Standard deviation of the Gaussian that smooths the air gaps before the tilt of the object is computed, in mm.
+# Standard deviation of the Gaussian filter that smooths the air gaps before the object tilt is computed, in mm.
 _TILT_SIGMA_MM = 20.0
-# Side length of the detector plane on which the constants were fitted, in mm. A smaller plane would lose scatter that
-# leaves the object outside the beam and reaches the detector. Gaussians wider than the plane would wrap around.
+# Side length of the detector plane for which the kernel constants were fitted, in mm. A smaller plane would lose
+# scatter that leaves the object outside the beam and reaches the detector. Gaussians wider than the plane would wrap
+# around.
 _FITTED_PLANE_MM = 307.2
-# Lower limit of the transmission, which keeps its logarithm finite behind metal.
+# Lower limit of the transmission, dimensionless; it keeps the logarithm finite behind metal.
 _MIN_TRANSMISSION = 1e-5
 
 
@@ -54,8 +55,8 @@ def compute_kernel_scatter_kev(
     path_mm : mapping of str to (rows, cols) array, mm
         Path length per material.
     air_gaps_mm : (32, 32) array, mm, or float
-        Distance from the exit point of each ray to the detector plane, from `compute_air_gaps_mm`, or a common
-        distance.
+        Distance from the exit point of each ray to the detector plane, from `compute_air_gaps_mm`, or one distance for
+        all rays.
     technique : Technique
         Resolved protocol.
     workers : int, default 2
@@ -69,9 +70,9 @@ def compute_kernel_scatter_kev(
     Notes
     -----
     The scatter is a sum of terms, each with three steps. First, photons scatter in proportion to powers of the mass per
-    area and of the primary transmission. Second, they spread within the object and are attenuated on the way out.
-    Third, they spread across the air gap, which varies with position. For an object tilted against the beam, the mass
-    per area along the ray is multiplied by the cosine of the tilt.
+    area and of the primary transmission. Second, scattered photons spread within the object and are attenuated on the
+    way out. Third, scattered photons spread across the air gap, which varies with position. For an object tilted
+    against the beam, the mass per area along the ray is multiplied by the cosine of the tilt.
 
     The irradiated area is the collimated field on the detector, as in the Monte Carlo simulation (see
     `xray.collimator`).
@@ -82,7 +83,7 @@ def compute_kernel_scatter_kev(
     """
     opened, mass, passed, step = coarsen_kernel_input(primary_kev, path_mm, technique, workers)
     most = float(opened.max())
-    if not (opened * mass).any():  # No part of the object is irradiated.
+    if not (opened * mass).any():  # Without an irradiated object, there is no scatter.
         return np.zeros(primary_kev.shape, np.float32)
     state = KernelInput(
         open_beam=opened / most, mass_g_per_cm2=mass, transmission=passed, cell_mm=step * technique.protocol.pixel_mm
@@ -95,18 +96,18 @@ def compute_kernel_scatter_kev(
 def _compute_padded_scatter_fraction(kernel_input: "KernelInput", air_gaps_mm: Array, technique: Technique) -> Array:
     """Compute the scatter fraction; a small detector is padded to the fitted plane with unirradiated cells.
 
-    `air_gaps_mm` (rows, cols) is the distance from the exit point of the rays to the detector plane. Padding repeats
-    its edge values.
+    `air_gaps_mm` (rows, cols) is the distance from the exit point of the rays to the detector plane; padding repeats
+    the edge values.
     """
     shape = kernel_input.open_beam.shape
     view, full_mm = technique.view, technique.kernel.full_field_mm
     missing = [max(int(_FITTED_PLANE_MM / kernel_input.cell_mm + 1e-6) - n, 0) for n in shape]
-    # A detector that is at least as large as the smallest fitted field needs no padding.
+    # A detector at least as large as the smallest fitted field needs no padding.
     holds = view.cols * view.pixel_mm >= full_mm[0] and view.rows * view.pixel_mm >= full_mm[1]
     if holds or not any(missing):
         return compute_scatter_fraction(kernel_input, air_gaps_mm, technique.protocol, technique.kernel)
     around = [(more // 2, more - more // 2) for more in missing]
-    # The last row and column of cells may extend beyond the detector, where nothing is irradiated.
+    # The last row and column of cells may extend beyond the detector, where no cell area is irradiated.
     sides = zip(shape, (view.rows, view.cols), strict=True)
     pixels = kernel_input.cell_mm / view.pixel_mm
     covered = np.outer(*(np.minimum(count / pixels - np.arange(n), 1.0) for n, count in sides))
@@ -124,7 +125,7 @@ def _compute_padded_scatter_fraction(kernel_input: "KernelInput", air_gaps_mm: A
 def coarsen_kernel_input(
     primary_kev: NDArray[np.float32], path_mm: Mapping[str, RowSliceable], technique: Technique, workers: int = 2
 ) -> tuple[Array, Array, Array, int]:
-    """Reduce the input maps of the scatter kernel to cells.
+    """Average the input maps of the scatter kernel over cells.
 
     Parameters
     ----------
@@ -161,7 +162,7 @@ def coarsen_kernel_input(
 
 
 def compute_air_gaps_mm(scene: Scene, view: View) -> Array:
-    """Compute the distance from the exit point of rays to the detector plane, for a square around the field.
+    """Compute the air gaps from the ray exit points to the detector plane, for a square grid of rays around the field.
 
     Parameters
     ----------
@@ -173,8 +174,8 @@ def compute_air_gaps_mm(scene: Scene, view: View) -> Array:
     Returns
     -------
     (32, 32) float64 array
-        Air gaps, in mm. A ray that misses the scene gets the gap of the nearest ray that meets the scene. If all rays
-        miss the scene, the gap is the distance from its bounding box to the detector plane.
+        Air gaps, in mm. A ray that misses the scene has the air gap of the nearest ray that hits the scene. If all rays
+        miss the scene, the air gap is the distance from the scene bounding box to the detector plane.
 
     Raises
     ------
@@ -202,33 +203,33 @@ def compute_air_gaps_mm(scene: Scene, view: View) -> Array:
 
 
 def central_air_gap_mm(air_gaps_mm: Array | float) -> float:
-    """Compute the mean air gap in the central part of the field, a quarter of its width and height.
+    """Compute the mean air gap in the central quarter of the field width and height.
 
     Parameters
     ----------
     air_gaps_mm : (32, 32) array, mm, or float
-        Gaps from `compute_air_gaps_mm`, or a common gap.
+        Air gaps from `compute_air_gaps_mm`, or one air gap for all rays.
 
     Returns
     -------
     float
-        Mean gap, in mm.
+        Mean air gap, in mm.
     """
     return float(np.mean(air_gaps_mm[_MIDDLE, _MIDDLE] if isinstance(air_gaps_mm, np.ndarray) else air_gaps_mm))
 
 
 def _gap_pitch_mm(view: View) -> float:
-    """Compute the spacing on the detector of the rays for air gaps, in mm."""
+    """Compute the spacing of the air-gap rays on the detector, in mm."""
     return max(view.rows, view.cols) * view.pixel_mm / _LOOKS
 
 
 def interpolate_air_gaps_mm(air_gaps_mm: Array | float, shape: tuple[int, ...], step: int, view: View) -> Array:
-    """Interpolate air gaps at the centres of the cells.
+    """Interpolate air gaps at the cell centres.
 
     Parameters
     ----------
     air_gaps_mm : (32, 32) array, mm, or float
-        Gaps from `compute_air_gaps_mm`, or a common gap.
+        Air gaps from `compute_air_gaps_mm`, or one air gap for all rays.
     shape : tuple of int
         Number of rows and columns of cells.
     step : int
@@ -298,11 +299,11 @@ def compute_scatter_fraction(
     Parameters
     ----------
     kernel_input : KernelInput
-        Open beam, mass per area and transmission in cells.
+        Open beam, mass per area and transmission, per cell.
     air_gaps_mm : (rows, cols) array, mm
         Distance from the exit surface of the object to the detector plane, per cell.
     protocol : Protocol
-        Protocol, of which the tube voltage and the projection are used.
+        Protocol with the tube voltage and the projection.
     kernel : ScatterKernel
         Fitted constants.
 
@@ -316,8 +317,7 @@ def compute_scatter_fraction(
         kernel_input.transmission,
         _FourierPlane(kernel_input.open_beam.shape, kernel_input.cell_mm),
     )
-    # The mass per area is clipped to the fitted range, because the powers of very large values, behind metal, would be
-    # far too large.
+    # The mass per area is limited to the fitted range; powers of very large values behind metal would be far too large.
     straight = (
         kernel_input.mass_g_per_cm2 * _tilt_cosines(air_gaps_mm, kernel_input.cell_mm) / kernel.reference_g_per_cm2
     )
@@ -345,13 +345,13 @@ def compute_scatter_fraction(
 
 
 def _tilt_cosines(air_gaps_mm: Array, cell_mm: float) -> Array:
-    """Compute the cosine (rows, cols) of the tilt of an object against the beam, from the gradient of its air gaps."""
+    """Compute the tilt cosine (rows, cols) of an object relative to the beam, from the gradient of its air gaps."""
     slope = gaussian_filter(air_gaps_mm, _TILT_SIGMA_MM / cell_mm, order=(1, 0), mode="nearest") / cell_mm
     return np.asarray(1 / np.hypot(1.0, slope))
 
 
 def _split_by_gap(air_gaps_mm: Array) -> list[tuple[float, Array]]:
-    """Choose a few gaps in mm from the smallest to the largest, each with interpolation weights (rows, cols)."""
+    """Select a few air gaps from the smallest to the largest, in mm, each with interpolation weights (rows, cols)."""
     least, most = float(air_gaps_mm.min()), float(air_gaps_mm.max())
     count = int(np.ceil((most - least) / _GAP_STEP_MM)) + 1
     if count == 1:
@@ -384,12 +384,12 @@ class _FourierPlane:
         return np.asarray(fft.rfft2(image, self.padded_shape))
 
     def gaussian_transfer(self, sigma_mm: float) -> Array:
-        """Compute the Fourier transform of a normalised Gaussian.
+        """Compute the transfer function (Fourier transform) of a normalised Gaussian.
 
         Parameters
         ----------
         sigma_mm : float
-            Standard deviation, in mm.
+            Standard deviation of the Gaussian, in mm.
 
         Returns
         -------
@@ -399,7 +399,7 @@ class _FourierPlane:
         return np.asarray(np.exp(self.exponent * sigma_mm**2))
 
     def invert_transform(self, spectrum: NDArray[np.complex128]) -> Array:
-        """Compute the image from its Fourier transform.
+        """Compute an image from its Fourier transform.
 
         Parameters
         ----------
@@ -414,7 +414,7 @@ class _FourierPlane:
         return np.asarray(fft.irfft2(spectrum, self.padded_shape)[: self.shape[0], : self.shape[1]])
 
     def blur_spectrum(self, spectrum: NDArray[np.complex128], sigma_mm: float) -> Array:
-        """Compute the image from its Fourier transform, blurred by a normalised Gaussian.
+        """Compute an image from its Fourier transform, blurred by a normalised Gaussian.
 
         Parameters
         ----------

@@ -15,14 +15,14 @@ from ..raycast.engines.crossings import Window
 from ..raycast.engines.projected_surface import BAND_ROWS, project_surface
 from ..raycast.engines.scanline import find_crossings
 
-# Distance of the source that makes rays parallel to the voxel columns within 1e-5 voxels, in mm.
+# Distance from the source to the voxel grid, in mm; rays are then parallel to the voxel columns within 1e-5 voxels.
 _SOURCE_DISTANCE_MM = 1e7
-# Largest allowed number of voxels.
+# Maximum number of voxels.
 _MAX_VOXELS = 30_000_000
 
 
 class _ColumnCrossings(NamedTuple):
-    """Crossings of the centre lines of voxel columns with a surface: `starts`, `depth` and `sign` as in `Crossings`."""
+    """Crossings of voxel-column centre lines with a surface: `starts`, `depth` and `sign` as in `Crossings`."""
 
     starts: NDArray[np.int64]
     depth: Array
@@ -36,7 +36,7 @@ class Voxels:
     Attributes
     ----------
     index : (x, y, z) uint8 array
-        Index in `names` of the material of each voxel.
+        Index of the voxel material in `names`.
     names : tuple of str
         Names of the materials; the ambient material is first.
     origin_mm : (3,) float64 array
@@ -64,10 +64,11 @@ def voxelise_scene(scene: Scene, bounds_mm: Array | None = None, *, voxel_mm: fl
     scene : Scene
         Closed surfaces with their materials.
     bounds_mm : (2, 3) array, mm, optional
-        Lower and upper corner of the volume to voxelise; by default the bounding box of the scene. In x and z, the grid
-        may exceed the volume by up to one voxel.
+        Lower and upper corner of the volume to voxelise; by default the bounding box of the scene. The grid may exceed
+        the volume by up to one voxel in x and z.
     voxel_mm : float, default 2
-        Voxel size, from 0.05 to 100 mm. In y the voxels may be smaller, so that the grid ends exactly at the volume.
+        Voxel size, from 0.05 to 100 mm. Voxels may be smaller in y, so that the grid ends exactly at the volume
+        boundary.
 
     Returns
     -------
@@ -83,8 +84,8 @@ def voxelise_scene(scene: Scene, bounds_mm: Array | None = None, *, voxel_mm: fl
     Notes
     -----
     In each voxel, every material has a count: the number of surrounding surfaces with the material inside, minus the
-    number with the material outside. The voxel gets the material with the largest count. This agrees with the path
-    lengths of `raycast.trace`. The density of every material is constant.
+    number with the material outside. The voxel material is the material with the largest count. The voxel grid
+    therefore agrees with the path lengths of `raycast.trace`. The density of every material is constant.
     """
     require_traceable(scene)
     require_in_range("voxel_mm", voxel_mm, 0.05, 100, "mm")
@@ -92,7 +93,7 @@ def voxelise_scene(scene: Scene, bounds_mm: Array | None = None, *, voxel_mm: fl
     number = np.maximum(np.ceil((high - low) / voxel_mm - 1e-9), 1).astype(int)
     if np.prod(number.astype(float)) > _MAX_VOXELS:
         least = math.ceil(10 * float(np.prod(high - low) / _MAX_VOXELS) ** (1 / 3)) / 10
-        raise InputError(f"voxel_mm must be {least:g} mm or more for a box of this size, got {voxel_mm:g} mm")
+        raise InputError(f"voxel_mm must be {least:g} mm or more for a volume of this size, got {voxel_mm:g} mm")
     if len(scene.materials) > 255:
         raise InputError(f"scene must have 255 or fewer materials, got {len(scene.materials)}")
     size = np.array([voxel_mm, (high[1] - low[1]) / number[1], voxel_mm])
@@ -118,7 +119,7 @@ def _fill_voxels(scene: Scene, origin: Array, size: Array, number: NDArray[np.in
     )
     names = scene.materials
     sheets = [project_surface(surface.solid, view) for surface in scene.surfaces]
-    # Factor that converts a depth, as a fraction of the source-to-detector distance, to a position in the column, in
+    # Factor that converts a depth fraction of the source-to-detector distance to a position in the voxel column, in
     # voxels.
     scale = (_SOURCE_DISTANCE_MM + number[1] * size[1]) / size[1]
     index = np.empty((number[2], number[0], number[1]), np.uint8)
@@ -158,7 +159,7 @@ def _count_surfaces(
     for pixel in range(len(starts) - 1):
         row, col = window.row + pixel // window.cols, window.col + pixel % window.cols
         for k in range(starts[pixel], starts[pixel + 1]):
-            # Every voxel whose centre is behind the crossing changes its counts, by +1 on entry and -1 on exit.
+            # The counts of every voxel with its centre behind the crossing change by +1 on entry and by -1 on exit.
             first = max(math.ceil(voxels - 0.5 - (1.0 - depth[k]) * scale), 0)
             for y in range(first, voxels):
                 inside[row, col, y] -= sign[k]

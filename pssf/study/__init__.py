@@ -1,46 +1,42 @@
-"""Radiomics study of a cohort: `run` turns a manifest into tables, models and a report.
+"""Radiomics study of a cohort: `run` computes tables, models and a report from a manifest.
 
-Each module imports only from modules listed above it.
+Each module imports only from modules that are listed before it:
 
-===========================================  ==========================================================================
-Module                                       Purpose
-===========================================  ==========================================================================
-design.study_settings                        settings of a study; names of selections and classifiers
-design.experiment_settings                   settings of cohort, study, patient radiographs and designs; settings file
-design.sensitivity_plan                      plans of radiographs for Sobol indices and local slopes
-design.response_curve_design                 plans of knees imaged at steps of one protocol parameter
-design.patient_sets                          patient radiographs used as an external test set
-design.classification_tasks                  grades and the classification tasks between them
-design.manifest_checks                       checks of the values of a manifest
-design.study_tables                          data tables of the package that a study reads
-study_result                                 paths and main tables of a finished study
-predictions                                  predictions as tables, passed from training to statistics
-study_data                                   inputs, features, predictions and tables passed between stages
-statistics.features                          degenerate features, ICC, localisation error, importance, dimensions
-statistics.scores                            metrics, 95 % intervals, calibration, subgroups, claims, patient scores
-statistics.analyses                          leakage, incremental value, learning and response curves, sensitivity
-statistics.result_tables                     all tables from predictions and features
-learn.subject_split                          training, validation and test subjects
-learn.models                                 feature selection, classifiers, baselines, network, model files
-learn.protocol_scenarios                     training and testing within, across and over protocols
-learn.protocol_transfer                      stable features and harmonisation across protocols
-learn.training                               all splits in parallel
-learn.incremental_value                      AUC of JSW, of features, and of JSW with features
-learn.response_curves                        predictions at every step of a protocol parameter
-learn.confounded_training                    models where age, BMI or site is associated with grade
-learn.grade_separability                     highest AUC that the parameters of sampled knees allow
-learn.benchmark_baselines                    baselines of a benchmark data set
-measurement                                  joint regions and their features, from a manifest
-segmentation_accuracy                        agreement of the segmented bone with the true masks
-prediction.patient_test                      models tested on patient radiographs
-report                                       figures, run cost, environment, checklist and HTML page
-simulator_analyses                           analyses that need a simulator
-study_pipeline                               all stages in order
-prediction.film_prediction                   predictions of a saved model for patient radiographs
-prediction.own_images                        features of a user's own images and masks
-prediction.feature_folder                    features of all images of a folder
-resume                                       reuse of a finished run whose inputs have not changed
-===========================================  ==========================================================================
+- `design.study_settings`: study settings; names of feature selections and classifiers.
+- `design.experiment_settings`: settings of cohort, study, patient radiographs and designed experiments; settings file.
+- `design.sensitivity_plan`: radiographs for Sobol indices and local slopes.
+- `design.response_curve_design`: radiographs of knees at steps of one protocol parameter.
+- `design.patient_sets`: patient radiographs used as an external test set.
+- `design.classification_tasks`: KL grades, and the classification tasks between grades.
+- `design.manifest_checks`: checks of manifest values.
+- `design.study_tables`: data tables of the package that a study needs.
+- `study_result`: paths and main tables of a finished study.
+- `predictions`: prediction tables, passed from training to statistics.
+- `study_data`: inputs, features, predictions and tables, passed between stages.
+- `statistics.features`: degenerate features, ICC, localisation error, importance, dimensions.
+- `statistics.scores`: metrics, 95 % intervals, calibration, subgroups, claims, patient scores.
+- `statistics.analyses`: leakage, incremental value, learning curves, response curves, sensitivity.
+- `statistics.result_tables`: all tables computed from predictions and features.
+- `learn.subject_split`: training, validation and test subjects.
+- `learn.models`: feature selection, classifiers, baselines, network, model files.
+- `learn.protocol_scenarios`: training and testing within one protocol, across protocols and on several protocols.
+- `learn.protocol_transfer`: stable features and harmonisation across protocols.
+- `learn.training`: parallel training of all splits.
+- `learn.incremental_value`: AUC of JSW, of features, and of JSW with features.
+- `learn.response_curves`: predictions at every step of a protocol parameter.
+- `learn.confounded_training`: models for data in which age, BMI or site is associated with grade.
+- `learn.grade_separability`: upper limit of the AUC, estimated from the parameters of sampled knees.
+- `learn.benchmark_baselines`: baselines of a benchmark data set.
+- `measurement`: joint regions and their features, measured for a manifest.
+- `segmentation_accuracy`: agreement of the segmented bone with the true masks.
+- `prediction.patient_test`: test of models on patient radiographs.
+- `report`: figures, run cost, environment, checklist and HTML page.
+- `simulator_analyses`: analyses that need simulated data.
+- `study_pipeline`: all stages in order.
+- `prediction.film_prediction`: predictions of a saved model for patient radiographs.
+- `prediction.own_images`: features of user images and masks.
+- `prediction.feature_folder`: features of all images in a folder.
+- `resume`: reuse of a finished run with unchanged inputs.
 """
 
 from collections.abc import Callable, Sequence
@@ -79,22 +75,22 @@ _REQUIRED_PACKAGES = {
 
 
 def require_extra(scheduler: str | None = None) -> None:
-    """Check that the libraries of the ``study`` extra are installed.
+    """Check that all libraries of the ``study`` extra are installed.
 
     Parameters
     ----------
     scheduler : str, optional
-        Address of a Dask scheduler whose workers must have the libraries as well; None checks this process only.
+        Address of a Dask scheduler whose workers must also have the libraries; None to check only this process.
 
     Raises
     ------
     InputError
-        A library is missing in this process or on a worker; the message says how to install it.
+        A library is missing in this process or on a worker; the message contains the installation command.
     """
     missing = [package for module, package in _REQUIRED_PACKAGES.items() if find_spec(module) is None]
     if missing:
         raise InputError(
-            f"the study needs packages that are not installed: {', '.join(missing)}; install them in the source "
+            f"packages required by the study are not installed: {', '.join(missing)}; install them in the source "
             "folder with: pip install '.[study]'"
         )
     backend = default_backend()
@@ -124,37 +120,38 @@ def run(
         sod_mm, truth_medial_row_px, truth_medial_col_px. The baselines also need sex, age_years, stature_mm and
         nominal_jsw_medial_mm; a baseline with missing columns is omitted.
     load_pixels : callable
-        Function from an entry of the column ``file`` to (rows, cols) uint16 pixels, linear in the signal. It must be
-        picklable if there is more than one worker.
+        Function that returns (rows, cols) uint16 pixels, linear in the signal, for an entry of the column ``file``. It
+        must be picklable if there is more than one worker.
     templates : sequence of Template
-        Radiographs of standard knees with different joint space widths, the widest first.
+        Radiographs of standard knees with different joint space widths; the knee with the widest joint space is first.
     settings : StudySettings
-        All settings that the results depend on, except those of the cohort.
+        Study settings, which do not include cohort settings.
     out : Path
         Output folder.
     retest : DataFrame, optional
         Repeat radiographs of some knees under the reference protocol, used only for the reliability of features. The
-        columns are those of the manifest, with ``kind`` ("noise" or "perturbation") and ``repeat_index``.
+        columns are the manifest columns, ``kind`` ("noise" or "perturbation") and ``repeat_index``.
     load_masks : callable, optional
-        Function from an entry of the column ``masks`` of `retest` to bone masks by name, each (rows, cols) bool. The
-        segmented bone is compared with these masks. The function must be picklable. None skips the comparison.
+        Function that returns bone masks by name, each (rows, cols) bool, for an entry of the column ``masks`` in
+        `retest`. The segmented bone is compared with the masks. The function must be picklable. None skips the
+        comparison.
     films : FilmSet, optional
         Patient radiographs used as an external test set.
     designed : DesignedManifests, optional
-        Manifests of response curves, Sobol samples and sensitivity pairs. Their columns are those of `manifest`, kind,
-        repeat_index and source_knee.
+        Manifests of response curves, Sobol samples and sensitivity pairs. Their columns are the columns of `manifest`,
+        kind, repeat_index and source_knee.
     execution : Execution, optional
-        Workers, scheduler, timer and progress bar. Stages that its timer already contains come first in the report.
+        Workers, scheduler, timer and progress bar. Stages already in the timer are listed first in the report.
 
     Returns
     -------
     StudyResult
-        Paths of all files and the main tables.
+        Paths of all output files, and the main tables.
 
     Raises
     ------
     InputError
-        The manifest lacks a column or has too few subjects. A repeat radiograph does not belong to a knee of the
+        The manifest lacks a column or has too few subjects. A repeat radiograph shows a knee that is not in the
         manifest, or reuses a file. A library is missing.
     WorkersLostError
         Worker processes are killed repeatedly.
@@ -187,13 +184,13 @@ def measure(
     manifest : DataFrame
         One row per radiograph, as for `run`.
     load_pixels : callable
-        Function from an entry of the column ``file`` to (rows, cols) uint16 pixels, linear in the signal.
+        Function that returns (rows, cols) uint16 pixels, linear in the signal, for an entry of the column ``file``.
     templates : sequence of Template
-        Radiographs of standard knees, the widest joint space first.
+        Radiographs of standard knees; the knee with the widest joint space is first.
     settings : StudySettings
-        Only region size, grey-level bins, feature families and backend are used.
+        Study settings; only region size, grey-level bins, feature families and backend are used.
     out : Path
-        Output folder of ``features.csv``.
+        Output folder for ``features.csv``.
     retest : DataFrame, optional
         Repeat radiographs of some knees, as for `run`.
     execution : Execution, optional

@@ -1,6 +1,6 @@
-"""Names of Python distributions that depend on the platform."""
+"""Package name of XGBoost on PyPI, which depends on the operating system."""
 
 import sys
 
-# The distribution xgboost-cpu has no wheels for macOS. The wheels of xgboost for macOS contain no GPU code.
+# The package xgboost-cpu has no wheels for macOS; the macOS wheels of xgboost contain no GPU code.
 XGBOOST = "xgboost" if sys.platform == "darwin" else "xgboost-cpu"

@@ -36,24 +36,24 @@ def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> pd.DataFr
     manifest : DataFrame
         One row per radiograph.
     settings : StudySettings
-        Settings of the study; their reference protocol must be in the manifest.
+        Study settings; the reference protocol must be in the manifest.
 
     Returns
     -------
     DataFrame
-        The manifest with integer grades.
+        Manifest with integer grades.
 
     Raises
     ------
     InputError
-        A column or the reference protocol is missing, or a radiograph or file is listed twice. Identifiers contradict
-        each other, or a value is out of range; see `require_manifest`.
+        A column or the reference protocol is missing, or a radiograph or file is listed twice. The error is also raised
+        if identifiers are inconsistent, or a value is out of range; see `require_manifest`.
     """
     if not isinstance(manifest, pd.DataFrame):
         require_manifest(manifest)
     missing = [name for name in _COLUMNS if name not in manifest.columns]
     if missing:
-        raise InputError(f"manifest must have the columns {', '.join(_COLUMNS)}, got no {', '.join(missing)}")
+        raise InputError(f"manifest must have the columns {', '.join(_COLUMNS)}, got none named {', '.join(missing)}")
     manifest = require_manifest(manifest)
     require_choice("reference", settings.reference, sorted(set(manifest["protocol"].astype(str))))
     twice = manifest["radiograph"][manifest["radiograph"].duplicated()]
@@ -67,8 +67,8 @@ def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> pd.DataFr
 def _append_retest(manifest: pd.DataFrame, retest: pd.DataFrame | None) -> pd.DataFrame:
     """Append the repeat radiographs to the manifest, reduced to the columns that the study reads.
 
-    The column ``kind`` is empty for the first radiograph of a knee. Raise InputError for repeat radiographs that
-    lack a column, reuse a radiograph or a file, or contradict the manifest.
+    The column ``kind`` is empty for radiographs of the manifest. Raise InputError if `retest` lacks a column, reuses a
+    radiograph or a file, or is inconsistent with the manifest.
     """
     columns = [*_COLUMNS, *(name for name in BASELINE_MANIFEST_COLUMNS if name in manifest)]
     first = manifest[columns].assign(kind="", repeat_index="")
@@ -77,38 +77,38 @@ def _append_retest(manifest: pd.DataFrame, retest: pd.DataFrame | None) -> pd.Da
     missing = [name for name in (*columns, "kind", "repeat_index") if name not in retest]
     if missing:
         raise InputError(
-            "manifest of repeats must have the columns of the manifest, kind and repeat_index, got no "
+            "retest manifest must have the manifest columns, kind and repeat_index, got none named "
             f"{', '.join(missing)}"
         )
-    retest = require_manifest(retest, "manifest of repeats")
+    retest = require_manifest(retest, "retest manifest")
     for kind in retest["kind"].unique():
         require_choice("kind of repeat", kind, tuple(REPEAT_LABELS))
     both = concatenate_tables([first, retest[[*columns, "kind", "repeat_index"]]])
     twice = both["radiograph"][both["radiograph"].duplicated()]
     if len(twice):
-        raise InputError(f"manifest of repeats must list each radiograph once, got {twice.iloc[0]} listed twice")
+        raise InputError(f"retest manifest must list each radiograph once, got {twice.iloc[0]} listed twice")
     _require_valid_repeats(manifest, retest)
-    require_consistent_identifiers(both, "manifest of repeats")
+    require_consistent_identifiers(both, "retest manifest")
     return both
 
 
 def _require_valid_repeats(manifest: pd.DataFrame, retest: pd.DataFrame) -> None:
     """Raise InputError if a repeat radiograph reuses a file or its knee is not in the manifest.
 
-    The agreement of a file with itself would be perfect.
+    A reused file would agree perfectly with itself and bias the reliability.
     """
     known = retest["sha256"].isin(manifest["sha256"]) | retest["sha256"].duplicated()
     if known.any():
         row = retest[known].iloc[0]
         raise InputError(
-            f"manifest of repeats: radiograph {row['radiograph']} must have its own file, "
+            f"retest manifest: radiograph {row['radiograph']} must have its own file, "
             f"got sha256 = {row['sha256'][:12]}... of another radiograph ({int(known.sum())} rows affected)"
         )
     strange = ~retest["knee"].isin(manifest["knee"])
     if strange.any():
         row = retest[strange].iloc[0]
         raise InputError(
-            f"manifest of repeats: radiograph {row['radiograph']} must be of a knee in the manifest, "
+            f"retest manifest: radiograph {row['radiograph']} must show a knee in the manifest, "
             f"got knee = {row['knee']} ({int(strange.sum())} rows affected)"
         )
 
@@ -118,7 +118,7 @@ def measure_features(
 ) -> tuple[pd.DataFrame, list[str], dict[str, float]]:
     """Locate the joint region in each radiograph of a cohort and measure its features.
 
-    The records are written to ``features.csv``; a later run reads them and continues.
+    The records are written to ``features.csv``; a later run reads the file and resumes.
 
     Parameters
     ----------
@@ -132,11 +132,11 @@ def measure_features(
     Returns
     -------
     table : DataFrame
-        Manifest and repeat radiographs, with region and features of each radiograph.
+        Manifest and repeat radiographs, with the region and the features of each radiograph.
     names : list of str
-        Names of the features.
+        Feature names.
     work : dict of str to float
-        Time of each step in s, summed over the processes.
+        Run time of each step in s, summed over the processes.
 
     Raises
     ------
@@ -157,15 +157,15 @@ def measure_features(
 def measure_designed_features(run: StudyContext, radiographs: pd.DataFrame, name: str, pixel_mm: float) -> pd.DataFrame:
     """Locate the joint region in each designed radiograph and measure its features.
 
-    The side length of a region in mm is the same at every pixel pitch. The records of each side length in px are
-    written to ``features_<name>_<side>.csv``.
+    The side length of the region in mm is the same for every pixel pitch. One file ``features_<name>_<side>.csv`` is
+    written for each side length in px.
 
     Parameters
     ----------
     run : StudyContext
         Inputs, settings and execution.
     radiographs : DataFrame
-        One of the manifests in `DesignedManifests`.
+        Manifest of designed radiographs, from `DesignedManifests`.
     name : str
         Name of the design, used in the file name.
     pixel_mm : float
@@ -174,12 +174,12 @@ def measure_designed_features(run: StudyContext, radiographs: pd.DataFrame, name
     Returns
     -------
     DataFrame
-        The manifest with region and features of each radiograph.
+        Manifest with added columns for region and features of each radiograph.
 
     Raises
     ------
     InputError
-        A worker runs another version of the code.
+        A worker process has a different code version.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -187,7 +187,7 @@ def measure_designed_features(run: StudyContext, radiographs: pd.DataFrame, name
     parts = []
     for side, part in radiographs.groupby(sides, sort=True):
         path = run.out / f"features_{name}_{side}.csv"
-        table, _ = _measure_records(run, part, path, int(side), f"{name}, regions of {side} pixels")
+        table, _ = _measure_records(run, part, path, int(side), f"{name}, region side {side} px")
         parts.append(part.merge(table, on="radiograph", how="left", validate="one_to_one"))
     return concatenate_tables(parts)
 
@@ -195,9 +195,9 @@ def measure_designed_features(run: StudyContext, radiographs: pd.DataFrame, name
 def _measure_records(
     run: StudyContext, radiographs: pd.DataFrame, path: Path, region_px: int, stage: str
 ) -> tuple[pd.DataFrame, dict[str, float]]:
-    """Measure radiographs, reusing the records in a CSV file, and save all records in the file.
+    """Measure radiographs, reuse the records of an earlier run in a CSV file, and save all records in the file.
 
-    Return the records and the time of each step in s.
+    Return the records and the run time of each step in s.
     """
     settings = run.settings
     earlier = study_results.load_table(path, TEXT_COLUMNS)

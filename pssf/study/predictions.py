@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from .design.classification_tasks import TASKS, Classes
 
 ARM_COLUMNS = ["task", "scenario", "trained_on", "tested_on", "model", "selection"]
-# Baselines that an image model must outperform: name in the column ``model`` -> label. Their selection is "none".
+# Baselines that an image model must outperform: label of each name in the column ``model``. Their column ``selection``
+# is "none".
 BASELINES = {"chance": "Chance", "body": "Age, sex, stature", "jsw": "JSW (true)"}
 NO_SELECTION = "none"
 
@@ -30,13 +31,16 @@ class SplitOutcome:
     importances : DataFrame
         Columns `ARM_COLUMNS` without ``tested_on``, repeat, feature, importance.
     selection_candidates : DataFrame
-        Features after pruning, among which a feature selection chooses: task, trained_on, selection, repeat, feature.
+        Features after pruning, from which a feature selection selects: task, trained_on, selection, repeat, feature.
     permutation : DataFrame
-        Permutation importance in the within-protocol scenario for 0 vs 2: model, selection, repeat, feature, drop.
+        Permutation importance in the within-protocol scenario for grade 0 vs 2: model, selection, repeat, feature,
+        drop.
     tuning : DataFrame
-        Hyperparameters chosen on the validation subjects: task, trained_on, model, selection, repeat, parameter, value.
+        Hyperparameters selected with the validation subjects: task, trained_on, model, selection, repeat, parameter,
+        value.
     stable_feature_count : int or None
-        Number of features that are stable across protocols in the training subjects; None with one protocol.
+        Number of features that are stable across protocols in the training subjects; None if there is only one
+        protocol.
     subjects : DataFrame
         Columns repeat, subject and part (training, validation or test).
     """
@@ -58,7 +62,7 @@ def find_class_indices(grades: NDArray[np.int64], classes: Classes) -> NDArray[n
     grades : (rows,) int64 array
         Grade of each row; every grade must belong to a class.
     classes : tuple of tuple of int
-        Grades of each class.
+        Grades in each class.
 
     Returns
     -------
@@ -85,18 +89,18 @@ def extract_truth_and_probability(predictions: pd.DataFrame) -> tuple[NDArray[np
         Predicted probability of each class.
     """
     columns = [f"p{k}" for k in range(len(TASKS[predictions["task"].iloc[0]]))]
-    # Columns are converted one by one, which takes a quarter of the time of converting the table.
+    # Columns are converted one by one, which is four times as fast as conversion of the table.
     probability = np.array([predictions[column].to_numpy(np.float64) for column in columns]).T
     return predictions["truth"].to_numpy(np.int64), probability
 
 
 def concatenate_tables(tables: Iterable[pd.DataFrame]) -> pd.DataFrame:
-    """Stack tables vertically and number the rows anew.
+    """Concatenate tables vertically and renumber the rows.
 
     Parameters
     ----------
     tables : iterable of DataFrame
-        Tables to stack, in order.
+        Tables to concatenate, in order.
 
     Returns
     -------

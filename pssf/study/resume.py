@@ -1,4 +1,4 @@
-"""Reuse of the results of a finished run with the same inputs."""
+"""Reuse of the results of an earlier finished run with the same inputs."""
 
 import hashlib
 import json
@@ -27,7 +27,7 @@ class FinishedRun(Record, frozen=True):
     Attributes
     ----------
     key : str
-        Hash of all inputs that the results depend on; see `compute_run_key`.
+        Hash of all inputs that affect the results; see `compute_run_key`.
     pictures : dict of str to str
         File of each figure, relative to the folder of the study.
     tables : dict of str to str
@@ -37,7 +37,7 @@ class FinishedRun(Record, frozen=True):
     seconds : dict of str to float
         Wall time of each stage, in s.
     sha256 : dict of str to str
-        SHA-256 of each file, by its relative path.
+        SHA-256 of each file, keyed by relative path.
     """
 
     key: str
@@ -48,7 +48,7 @@ class FinishedRun(Record, frozen=True):
     sha256: dict[str, str]
 
     def is_complete(self) -> bool:
-        """Check that every file has a hash and that all tables in `_LOADED_TABLES` are listed.
+        """Report whether every file has a hash and all tables in `_LOADED_TABLES` are listed.
 
         Returns
         -------
@@ -62,7 +62,7 @@ class FinishedRun(Record, frozen=True):
 def compute_run_key(
     manifests: list[pd.DataFrame], settings: StudySettings, engine: str, films: FilmSet | None = None
 ) -> str:
-    """Hash all inputs that the results of a study depend on, including code and library versions.
+    """Compute a hash of all inputs that affect the results of a study, including code and library versions.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def compute_run_key(
     settings : StudySettings
         Settings of the study.
     engine : str
-        Name of the ray caster.
+        Name of the ray casting engine.
     films : FilmSet, optional
         Patient radiographs used as an external test set.
 
@@ -89,7 +89,7 @@ def compute_run_key(
 
 
 def save_finished_run(result: StudyResult, out: Path, key: str) -> None:
-    """Write a list of the files of a finished run and their hashes.
+    """Write a list of all files of a finished run, with their hashes.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def save_finished_run(result: StudyResult, out: Path, key: str) -> None:
 
 
 def load_finished_run(out: Path, key: str) -> StudyResult | None:
-    """Load the result of an earlier run with the same key.
+    """Load the result of an earlier run with the same run key.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def load_finished_run(out: Path, key: str) -> StudyResult | None:
     Returns
     -------
     StudyResult or None
-        Result of the earlier run; None if there is no such run, or if one of its files is missing or changed.
+        Result of the earlier run; None if there is no run with the key, or if a file of the run is missing or changed.
     """
     end = study_results.load_json(out / _RECORD_FILE, FinishedRun)
     if end is None or end.key != key or not end.is_complete():

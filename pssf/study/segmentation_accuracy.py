@@ -23,7 +23,7 @@ COLUMNS = ["grade", "radiographs", "dice", "dice_p5", "mean_mm", "p95_mm", "area
 
 @dataclass(frozen=True, kw_only=True)
 class SegmentationJob:
-    """Inputs for the overlap measurement of segmented and true bone in one radiograph.
+    """Radiograph and true masks for measuring the overlap of segmented and true bone.
 
     Parameters
     ----------
@@ -57,20 +57,20 @@ def evaluate_segmentation(repeated: pd.DataFrame, retest: pd.DataFrame | None, r
     repeated : DataFrame
         Repeat radiographs with a located region: radiograph, grade, row_px, col_px, pixel_mm, sdd_mm, sod_mm.
     retest : DataFrame or None
-        Manifest of the repeat radiographs; its column ``masks`` contains the paths of the mask files.
+        Manifest of the repeat radiographs, with the paths of mask files in the column ``masks``.
     run : StudyContext
         Loaders, settings and execution.
 
     Returns
     -------
     DataFrame
-        Columns `COLUMNS`: grade, radiographs, means of the overlap measures, and the 5th percentile of Dice. The table
-        is empty without mask files.
+        Columns `COLUMNS`: grade, radiographs, means of the overlap measures, and the 5th percentile of Dice. Without
+        mask files, the table is empty.
 
     Raises
     ------
     InputError
-        A worker runs another version of the code.
+        A worker process has a different code version.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -116,15 +116,15 @@ def measure_overlap(
     Parameters
     ----------
     job : SegmentationJob
-        Radiograph, masks and location of the region.
+        Radiograph, masks and position of the region.
     load_pixels : callable
-        Function from `job.file` to (rows, cols) pixels.
+        Function that returns (rows, cols) pixels for `job.file`.
     load_masks : callable
-        Function from `job.masks` to bone masks by name; the true bone is their union.
+        Function that returns bone masks by name for `job.masks`; the true bone is the union of the masks.
     size : int
         Side length of the region, in px.
     code : mapping of str to str
-        Code hashes in the process that started the run.
+        Code hashes of the process that started the run, keyed by subpackage.
 
     Returns
     -------

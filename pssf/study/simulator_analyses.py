@@ -1,4 +1,4 @@
-"""Analyses that need a simulator: incremental value, learning curves, response curves, sensitivity, confounding."""
+"""Analyses that need simulated data: incremental value, learning curves, response curves, sensitivity, confounding."""
 
 from dataclasses import dataclass
 
@@ -35,9 +35,9 @@ from .statistics.features.feature_importance import select_leading_features
 from .statistics.scores.tested_subjects import TEST_COUNT_COLUMNS, count_test_subjects, has_enough_test_subjects
 from .study_data import StudyContext, StudyData
 
-# Fractions of the training subjects in the learning curves, in addition to all training subjects (fraction 1).
+# Fractions of the training subjects in the learning curves, in addition to fraction 1 (all training subjects).
 _TRAINING_FRACTIONS = (0.2, 0.4, 0.6, 0.8)
-# Number of knees in the first estimate of the best possible AUC; it is sufficient if the grades do not overlap.
+# Number of knees for the first estimate of the best possible AUC; it is sufficient if the grades do not overlap.
 _INITIAL_KNEE_COUNT = 1_000
 # Predictor sets for which a learning curve is computed.
 _LEARNING_CURVE_SETS = ("measured", "radiomics", "both")
@@ -45,12 +45,12 @@ _LEARNING_CURVE_SETS = ("measured", "radiomics", "both")
 
 @dataclass(frozen=True)
 class SimulatorAnalyses:
-    """Tables and report sections of the analyses that need a simulator.
+    """Tables and report sections of the analyses that need simulated data.
 
     Attributes
     ----------
     tables : dict of str to DataFrame
-        Tables by name; the name is also the stem of the CSV file.
+        Tables, keyed by name; the table name is also the CSV file name without suffix.
     sections : list of Section
         Sections of the report, in order.
     """
@@ -59,7 +59,7 @@ class SimulatorAnalyses:
     sections: list[Section]
 
     def pictures(self) -> dict[str, Picture]:
-        """Collect the figures of all sections.
+        """Collect the figures of all report sections.
 
         Returns
         -------
@@ -75,7 +75,7 @@ def run_simulator_analyses(study: StudyData) -> SimulatorAnalyses:
     Parameters
     ----------
     study : StudyData
-        Study, with the tables ``importance`` and ``feature_parameter_correlations``.
+        Study data that include the tables ``importance`` and ``feature_parameter_correlations``.
 
     Returns
     -------
@@ -95,8 +95,8 @@ def run_simulator_analyses(study: StudyData) -> SimulatorAnalyses:
 def _analyse_incremental_value(study: StudyData) -> SimulatorAnalyses:
     """Estimate incremental value, learning curves and power.
 
-    Return no tables if the manifest has no joint space widths or the test sets have too few subjects. Omit a grade
-    with too few subjects to split.
+    Return no tables if the manifest has no joint space widths or the test sets have too few subjects. Grades with too
+    few subjects for a split are omitted.
     """
     settings, execution, names = study.settings, study.run.execution, study.names
     known = select_splittable_grades(build_predictor_table(study.usable, names, study.parameters, settings))
@@ -143,7 +143,7 @@ def _analyse_incremental_value(study: StudyData) -> SimulatorAnalyses:
 def _estimate_best_possible_auc(laws: KneeDistributions, run: StudyContext) -> pd.DataFrame:
     """Estimate the best possible AUC of each pair of grades.
 
-    Start with few knees. Sample more only if the grades of the table overlap.
+    Start with 1000 knees, and sample more knees only if the grades overlap.
     """
     for knees in (_INITIAL_KNEE_COUNT, DEFAULT_KNEE_COUNT):
         drawn = estimate_separability(laws, run.tables.gap_alone_auc, knees=knees, seed=run.settings.seed)
@@ -156,8 +156,8 @@ def _estimate_best_possible_auc(laws: KneeDistributions, run: StudyContext) -> p
 def _analyse_confounders(study: StudyData) -> SimulatorAnalyses:
     """Estimate the confounding effect of age, BMI and imaging site on a classifier.
 
-    Use age and BMI if they are in the manifest, and the site if there are two protocols. Return no tables if the test
-    sets have too few subjects.
+    Use age and BMI if they are in the manifest, and the site if there are several protocols. Return no tables if the
+    test sets have too few subjects.
     """
     settings, names = study.settings, study.names
     columns = [name for name in CONFOUNDERS if name in study.parameters]
@@ -177,7 +177,7 @@ def _analyse_confounders(study: StudyData) -> SimulatorAnalyses:
 
 
 def _is_decidable(predictor_table: pd.DataFrame, settings: StudySettings) -> bool:
-    """Check that the first test set has enough subjects of the lowest grade and of at least one other grade."""
+    """Report whether the first test set has enough subjects of the lowest grade and of at least one other grade."""
     if predictor_table.empty:
         return False
     test = predictor_table[
@@ -194,7 +194,7 @@ def _is_decidable(predictor_table: pd.DataFrame, settings: StudySettings) -> boo
 
 
 def _measure_located(study: StudyData, radiographs: pd.DataFrame, name: str) -> pd.DataFrame:
-    """Measure designed radiographs; return the rows with a located region."""
+    """Measure designed radiographs and return the rows with a located region."""
     measured = measure_designed_features(study.run, radiographs, name, float(study.base["pixel_mm"].iloc[0]))
     return measured[measured["status"] == "found"]
 
@@ -226,13 +226,13 @@ def _analyse_sensitivity(study: StudyData) -> SimulatorAnalyses:
 
 
 def _analyse_response_curves(study: StudyData, curves: pd.DataFrame) -> SimulatorAnalyses:
-    """Compute response curves of features and models along all axes, and the breakpoints of these curves."""
+    """Compute response curves of features and models along all axes, and the breakpoints of the curves."""
     settings, base, names = study.settings, study.base, study.names
     steps = _measure_located(study, curves, "response_curves")
     axes = {name: axis for name, axis in PROTOCOL_AXES.items() if name in set(curves["kind"])}
 
     def step(axis: str, turn: int) -> float:
-        """Return the value of a step of an axis; `turn` is the number of the step, counted from 1."""
+        """Return the parameter value at a step of an axis; `turn` is the step number, starting at 1."""
         return axes[axis].steps[turn - 1]
 
     with study.run.execution.timer.stage("feature response curves"):
@@ -251,7 +251,7 @@ def _analyse_response_curves(study: StudyData, curves: pd.DataFrame) -> Simulato
 
 
 def _count_subjects(predictor_table: pd.DataFrame) -> pd.Series:
-    """Count the subjects of each pair of grades; the index is the label of the pair, such as "0 vs 2"."""
+    """Count the subjects in each pair of grades; the index is the pair label, such as "0 vs 2"."""
     of_grade = predictor_table.groupby("grade")["subject"].nunique()
     first, *others = sorted(of_grade.index)
     return pd.Series({f"{first} vs {grade}": int(of_grade[first] + of_grade[grade]) for grade in others})

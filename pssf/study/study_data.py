@@ -1,4 +1,4 @@
-"""State of a study: inputs, features, predictions and tables that its stages pass on as one object."""
+"""Study state: inputs, features, predictions and tables that the study stages pass on as one object."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,14 +22,14 @@ Tables = dict[str, pd.DataFrame]
 
 @dataclass(frozen=True)
 class StudyContext:
-    """Inputs, settings and execution that all stages share.
+    """Inputs, settings and execution that all study stages share.
 
     Parameters
     ----------
     load_pixels : callable
-        Function from an entry of the column ``file`` to (rows, cols) uint16 pixels, linear in the signal.
+        Function that returns (rows, cols) uint16 pixels, linear in the signal, for an entry of the column ``file``.
     templates : sequence of Template
-        Radiographs of standard knees, the widest joint space first.
+        Radiographs of standard knees; the knee with the widest joint space is first.
     settings : StudySettings
         Settings of the study.
     out : Path
@@ -39,8 +39,8 @@ class StudyContext:
     tables : StudyTables
         Data tables of the package that the study reads.
     load_masks : callable, optional
-        Function from an entry of the column ``masks`` of the repeat radiographs to bone masks by name, each (rows,
-        cols) bool; None if there are no masks.
+        Function that returns bone masks by name, each (rows, cols) bool, for an entry of the column ``masks`` of the
+        repeat radiographs; None if there are no masks.
     """
 
     load_pixels: LoadPixels
@@ -56,8 +56,8 @@ class StudyContext:
 class StudyData:
     """Radiographs, features, predictions and tables of a study.
 
-    Each stage returns a new object with its results: `replace` adds the predictions of the splits, and `add_tables`
-    adds tables.
+    Each study stage returns a new object that includes its results: `replace` adds the predictions of the splits, and
+    `add_tables` adds tables.
 
     Parameters
     ----------
@@ -66,9 +66,9 @@ class StudyData:
     manifest : DataFrame
         Checked manifest of the cohort, one row per radiograph.
     parameters : DataFrame
-        One row per knee with its true parameters; see `knee_parameters.extract_knee_parameters`.
+        True parameters, one row per knee; see `knee_parameters.extract_knee_parameters`.
     located : DataFrame
-        Radiographs of the cohort with region, localisation error and features.
+        Cohort radiographs with region, localisation error and features.
     repeated : DataFrame
         Repeat radiographs with a located region: kind, repeat_index, knee and features.
     names : list of str
@@ -76,11 +76,11 @@ class StudyData:
     laws : KneeDistributions or None
         Distributions from which the knees were sampled; None if they are unknown.
     designed : DesignedManifests
-        Manifests of designed radiographs; analyses without a manifest are omitted.
+        Manifests of designed radiographs; analyses without their manifest are omitted.
     outcomes : sequence of SplitOutcome
         Predictions and tables of each split; empty before training.
     tables : dict of str to DataFrame
-        Result tables of the finished stages, by the stem of the CSV file.
+        Result tables of the finished stages, keyed by CSV file name without suffix.
     """
 
     run: StudyContext
@@ -101,12 +101,12 @@ class StudyData:
 
     @cached_property
     def usable(self) -> pd.DataFrame:
-        """Radiographs of the cohort with a located region."""
+        """Cohort radiographs with a located region."""
         return self.located[self.located["status"] == "found"]
 
     @cached_property
     def base(self) -> pd.DataFrame:
-        """Radiographs with a located region under the reference protocol."""
+        """Cohort radiographs with a located region under the reference protocol."""
         return self.usable[self.usable["protocol"] == self.settings.reference]
 
     @cached_property
@@ -115,7 +115,7 @@ class StudyData:
         return self.stack("predictions")
 
     def stack(self, name: str) -> pd.DataFrame:
-        """Stack a table of `SplitOutcome` over all splits.
+        """Concatenate a table of `SplitOutcome` over all splits.
 
         Parameters
         ----------
@@ -130,7 +130,7 @@ class StudyData:
         return concatenate_tables(getattr(outcome, name) for outcome in self.outcomes)
 
     def add_tables(self, tables: Tables) -> "StudyData":
-        """Add tables to a copy of the study; they replace tables with the same name.
+        """Add tables to a copy of the study data; existing tables with the same name are replaced.
 
         Parameters
         ----------
@@ -140,6 +140,6 @@ class StudyData:
         Returns
         -------
         StudyData
-            Study with the added tables.
+            Study data with the added tables.
         """
         return replace(self, tables=self.tables | tables)

@@ -1,4 +1,4 @@
-"""Run all stages of a study in order and write its result files through `pssf.io`."""
+"""Run all stages of a study in order, and write the result files with `pssf.io`."""
 
 import platform
 from dataclasses import asdict, replace
@@ -90,12 +90,12 @@ def run_study(
     Returns
     -------
     StudyResult
-        Paths of all files and the main tables.
+        Paths of all output files, and the main tables.
 
     Raises
     ------
     InputError
-        An input is not valid, or no split has grades 0 and 2 in training.
+        An input is not valid, or no split has grades 0 and 2 in the training set.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -107,7 +107,7 @@ def run_study(
     study = replace(study, outcomes=train_all_splits(study.usable, study.names, study.settings, run.execution))
     if study.predictions.empty:
         located_in = f"the joint was located in {len(study.usable)} radiographs"
-        raise InputError(f"at least one split must have grades 0 and 2 in training, got none: {located_in}")
+        raise InputError(f"grades 0 and 2 must be in the training set of a split, got no such split: {located_in}")
     study, pictures = _evaluate_models(study)
     study = study.add_tables({"segmentation": evaluate_segmentation(study.repeated, retest, run)})
     with run.execution.timer.stage("models refitted"):
@@ -129,7 +129,7 @@ def run_study(
 def _measure_cohort(
     run: StudyContext, manifest: pd.DataFrame, retest: pd.DataFrame | None, designed: DesignedManifests
 ) -> tuple[StudyData, dict[str, float]]:
-    """Measure the features of cohort and repeat radiographs; return the study and the time of each step in s."""
+    """Measure the features of cohort and repeat radiographs; return the study data and the time of each step in s."""
     table, names, work_seconds = measure_features(run, manifest, retest)
     study = StudyData(
         run=run,
@@ -146,7 +146,7 @@ def _measure_cohort(
 
 
 def _evaluate_models(study: StudyData) -> tuple[StudyData, dict[str, Picture]]:
-    """Add the tables of models, features, true parameters and claims; return the study and its figures."""
+    """Add the tables of models, features, true parameters and claims; return the study data and its figures."""
     timer = study.run.execution.timer
     with timer.stage("intervals and differences"):
         models = build_model_tables(study.outcomes, study.settings)
@@ -172,8 +172,8 @@ def _build_claim_tables(study: StudyData) -> Tables:
 def _pack_models(study: StudyData) -> dict[str, bytes]:
     """Fit each model to all subjects and pack it as a model file.
 
-    Train on the reference protocol and, if there are several protocols, also on all protocols. Return bytes by model
-    name.
+    Train on the reference protocol and, if there are several protocols, also on all protocols. Return the file content
+    by model name.
     """
     settings, law = study.settings, study.run.tables.radiomics.localisation
     protocols = list_protocols(study.usable, settings.reference)
@@ -200,7 +200,7 @@ def _pack_models(study: StudyData) -> dict[str, bytes]:
 
 
 def _require_grades(usable: pd.DataFrame, settings: StudySettings) -> None:
-    """Raise InputError unless grades 0 and 2 have located regions under the reference protocol."""
+    """Raise InputError unless regions of grades 0 and 2 are located under the reference protocol."""
     of_reference = usable[usable["protocol"] == settings.reference]
     grades = sorted({int(grade) for grade in of_reference["grade"]})
     if not {0, 2} <= set(grades):
@@ -211,7 +211,7 @@ def _require_grades(usable: pd.DataFrame, settings: StudySettings) -> None:
 
 
 def _collect_findings(study: StudyData, pictures: dict[str, Picture], work_seconds: dict[str, float]) -> Findings:
-    """Collect all data shown in the report."""
+    """Collect all data for the report."""
     run, located, usable, tables, settings = study.run, study.located, study.usable, study.tables, study.settings
     keys = ["model", "selection", "feature"]
     importance = tables["importance"].merge(tables["permutation"][[*keys, "drop"]], on=keys, how="left")
@@ -255,7 +255,7 @@ def _collect_findings(study: StudyData, pictures: dict[str, Picture], work_secon
 def _write_results(run: StudyContext, findings: Findings, tables: Tables, files: dict[str, bytes]) -> StudyResult:
     """Write tables, figures, models, JSON files and the report.
 
-    The files of two runs with the same cohort and settings differ only in run times.
+    With the same cohort and settings, the files of two runs differ only in run times.
     """
     out, pictures = run.out, {}
     for name, picture in findings.pictures.items():

@@ -1,4 +1,4 @@
-"""Result of a study: paths of all files and the main tables."""
+"""Result of a study: paths of all output files, and the main tables."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,31 +10,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class StudyResult:
-    """Paths of all written files and main tables of a study.
+    """Paths of all output files and main tables of a study.
 
     Attributes
     ----------
     report : Path
         Path of ``report.html``.
     pictures : dict of str to Path
-        Path of the PNG file of each figure, by the name of the figure.
+        Path of each figure (PNG file), keyed by figure name.
     tables : dict of str to Path
-        Path of the CSV file of each table, by the name of the table.
+        Path of each table (CSV file), keyed by table name.
     models : dict of str to Path
-        Path of the skops file of each model trained on all subjects, by the name of the model; see
-        `learn.models.model_file`.
+        Path of each model trained on all subjects (skops file), keyed by model name; see `learn.models.model_file`.
     scores : DataFrame
-        One row per arm: mean, spread and 95 % interval of AUC, balanced accuracy and macro F1.
+        One row per combination of task, scenario and model: mean, spread and 95 % interval of AUC, balanced accuracy
+        and macro F1.
     differences : DataFrame
-        One row per pair of arms and metric: paired difference, 95 % interval, p, and p after Holm's correction.
+        One row per metric and pair of model combinations: paired difference, 95 % interval, p, and p after Holm's
+        correction.
     reliability : DataFrame
-        One row per feature and set of conditions: ICC(2,1), ICC(3,1), their intervals, variance components.
+        One row per feature and set of conditions: ICC(2,1), ICC(3,1), intervals of both ICCs, variance components.
     localisation : DataFrame
         One row per protocol and grade: errors of the located joint line.
     seconds : dict of str to float
-        Wall time of each stage in s, including stages before the study.
+        Wall time of each stage in s, including stages before the study, such as simulation.
     origin : str
-        Origin of the results: "this run", or "an earlier run" with the same inputs, whose files were reused.
+        Origin of the results: "this run", or "an earlier run" if the files of a run with the same inputs were reused.
     """
 
     report: Path

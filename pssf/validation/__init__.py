@@ -76,7 +76,7 @@ from .raycasting.raycast_engines import (
 from .raycasting.tessellation_error import measure_tessellation_error
 from .study_methods.localisation_rates import derive_localisation_limits, measure_localisation
 
-# Tables that measure memory are first, because a new process inherits the peak memory of its parent process.
+# Tables that measure memory come first, because a new process inherits the peak memory of its parent process.
 DEFAULT_TABLES = (
     "engines", "growth", "nested", "stages", "chain", "agreement", "spectrum", "focal_spot", "physics",
     "monte_carlo", "scatter", "tessellation", "texture_steps", "texture_trace", "texture", "builds", "knees", "views",
@@ -146,7 +146,7 @@ def run_validation(
 def _make_table_jobs(
     engine_results: list[Row], knees: int, workers: int, progress: Callable[[str], None]
 ) -> dict[str, Callable[[], list[Row]]]:
-    """Make a dictionary from table name to the function that measures the table rows."""
+    """Map each table name to the function that measures the rows of the table."""
     return {
         "engines": lambda: engine_results,
         "growth": lambda: compute_growth_exponents(engine_results),

@@ -47,8 +47,8 @@ def plot_error_against_time(engine_results: list[Row]) -> bytes:
     front = find_pareto_front([(row["seconds"], _total_error_mm(row)) for row in chosen])
     total.step(*zip(*front, strict=True), where="post", color="black", lw=2.5, alpha=0.35, label="Pareto front")
     for axes, title in (
-        (total, "error against the sphere: tessellation (RMS) and engine"),
-        (own, "error against the polyhedron: engine alone, maximum"),
+        (total, "error relative to the sphere: tessellation (RMS) and engine"),
+        (own, "error relative to the polyhedron: engine only, maximum"),
     ):
         axes.set(xscale="log", yscale="log", xlabel="run time (s)", ylabel="error (mm)")
         axes.set_title(title, fontsize=10)

@@ -20,19 +20,20 @@ _COMPOSITION_TOLERANCE_PERCENT = 3.0
 
 
 def describe_alloy_misreading(name: str, tissues: Mapping[str, Tissue]) -> str | None:
-    """Explain how a formula is interpreted and what was probably meant, if it resembles an alloy name.
+    """Explain how a formula is interpreted and what the user probably meant, if the formula resembles an alloy name.
 
     Parameters
     ----------
     name : str
-        Material, such as ``"Ti6Al4V@4.43"``.
+        Material name, such as ``"Ti6Al4V@4.43"``.
     tissues : mapping of str to Tissue
-        Known tissues and metals, in which the intended material is searched.
+        Known tissues and metals, among which the intended material is searched for.
 
     Returns
     -------
     str or None
-        Text of a warning. None if the name is unambiguous: a tissue, percent by mass, or a compound.
+        Text of a warning. None if the name is unambiguous, that is, a tissue, a composition in percent by mass, or a
+        compound.
     """
     formula, at, _ = name.partition("@")
     if not at or "=" in formula:
@@ -54,8 +55,8 @@ def describe_alloy_misreading(name: str, tissues: Mapping[str, Tissue]) -> str |
     read = ", ".join(f"{_element_symbol(z)} {100 * part:.3g}" for z, part in material.elements)
     meant = "" if known is None else f"material {known} ({_format_composition(tissues[known])}), or "
     return (
-        f"{name} is read as numbers of atoms, that is {read} % by mass; alloy names state percent by mass, so the "
-        f"attenuation differs; use {meant}percent by mass, as in Ti=90,Al=6,V=4@4.43"
+        f"{name} is interpreted as numbers of atoms, that is {read} % by mass; alloy names state percent by mass, so "
+        f"the attenuation differs; use {meant}percent by mass, as in Ti=90,Al=6,V=4@4.43"
     )
 
 
@@ -66,7 +67,7 @@ def _count_atoms(formula: str) -> dict[str, float]:
 
 
 def _find_matching_metal(symbols: Collection[str], tissues: Mapping[str, Tissue]) -> str | None:
-    """Find a metal in the table that contains all given metals and whose main element is among them."""
+    """Find a metal in the table that contains all metals of a formula, one of which is its main element."""
     for name, tissue in tissues.items():
         parts = tissue.composition or {}
         main = max(parts, key=lambda symbol: parts[symbol], default="")

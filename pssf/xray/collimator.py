@@ -92,7 +92,7 @@ def compute_transmission_factors(technique: Technique, step: int) -> tuple[Array
     for count, wide_mm in ((view.rows, protocol.field_height_mm), (view.cols, protocol.field_width_mm)):
         places = np.minimum((np.arange(-(-count // step)) + 0.5) * step - 0.5, count - 1)
         from_edge = wide_mm / 2 - np.abs(places - (count - 1) / 2) * view.pixel_mm
-        # The edge of the shadow is at least one pixel wide, even for a point source.
+        # The penumbra is at least one pixel wide, even for a point source.
         share = np.clip(from_edge / max(penumbra, view.pixel_mm) + 0.5, 0.0, 1.0)
         shares.append(share if wide_mm > 0 else np.ones(len(places)))
     return shares[0], shares[1]

@@ -20,7 +20,7 @@ from ..data.anatomy.tissue_table import Tissue
 _CM_PER_MM = 0.1
 # Description of valid material names, for error messages.
 _FORMULA_HINT = "a formula and a density in g/cm3, such as Ti@4.51, or percent by mass, such as Ti=90,Al=6,V=4@4.43"
-# Allowed deviation from 100 of the sum of percentages by mass, which are then normalised.
+# Allowed deviation of the sum of mass percentages from 100, in percentage points; the percentages are then normalised.
 _PERCENT_SUM_TOLERANCE = 1.0
 # Atomic number of californium, the heaviest element with cross sections in xraylib.
 _MAX_ATOMIC_NUMBER = 98
@@ -47,9 +47,9 @@ def resolve_material(name: str, tissues: Mapping[str, Tissue]) -> Material:
     Parameters
     ----------
     name : str
-        A tissue or metal of the table, a compound of the NIST list such as ``"Gypsum"``, or ``"FORMULA@DENSITY"`` in
-        g/cm3 such as ``"Ti@4.51"``. Numbers in a formula are numbers of atoms. Alloys are given in percent by mass,
-        such as ``"Ti=90,Al=6,V=4@4.43"``. A NIST name may be followed by another density, such as
+        A tissue or metal from the table, a compound from the NIST list such as ``"Gypsum"``, or ``"FORMULA@DENSITY"``
+        in g/cm3 such as ``"Ti@4.51"``. Numbers in a formula are numbers of atoms. Alloys are specified in percent by
+        mass, such as ``"Ti=90,Al=6,V=4@4.43"``. A NIST name may be followed by another density, such as
         ``"Polyethylene@0.94"``.
     tissues : mapping of str to Tissue
         Known tissues and metals.
@@ -62,7 +62,7 @@ def resolve_material(name: str, tissues: Mapping[str, Tissue]) -> Material:
     Raises
     ------
     InputError
-        If the name has none of these forms.
+        The name has none of the forms that are listed for `name`.
     """
     if "@" in name or name in _nist_compound_names():
         return parse_compound(name)
@@ -96,7 +96,8 @@ def parse_compound(name: str) -> Material:
     Raises
     ------
     InputError
-        If the name has neither form, or contains an element heavier than californium.
+        The name is neither a NIST name nor a composition with a density, or contains an element heavier than
+        californium.
     """
     formula = name.partition("@")[0]
     if formula in _nist_compound_names():
@@ -113,7 +114,7 @@ def parse_compound(name: str) -> Material:
     if beyond:
         raise InputError(
             f"material {name!r} must contain only elements up to Cf ({_MAX_ATOMIC_NUMBER}), got {', '.join(beyond)}: "
-            "xraylib has no cross sections for it"
+            "xraylib has no cross sections for heavier elements"
         )
     return Material(_parse_density(name), tuple(zip(parsed["Elements"], parsed["massFractions"], strict=True)))
 
@@ -137,7 +138,7 @@ def attenuation_per_mm(material: Material, energies_kev: Array) -> Array:
 
 
 def absorption_edges_kev(materials: Iterable[Material]) -> tuple[float, ...]:
-    """List the K and L absorption edges of all elements in the given materials.
+    """List the K and L absorption edges of all elements in a set of materials.
 
     Parameters
     ----------
@@ -206,7 +207,7 @@ def _mix_tissues(volumes: Mapping[str, float], tissues: Mapping[str, Tissue]) ->
 def _parse_mass_percents(listed: str) -> tuple[tuple[int, float], ...]:
     """Parse a list such as ``"Ti=90,Al=6,V=4"`` into atomic numbers and mass fractions.
 
-    Raises InputError for an unknown element, a repeated element, or percentages that do not add up to 100.
+    Raise InputError for an unknown element, a repeated element, or percentages that do not add up to 100.
     """
     percents: dict[int, float] = {}
     for part in listed.split(","):

@@ -16,9 +16,9 @@ from .materials import attenuation_per_mm
 from .resolved_technique import Technique
 from .spectrum import Beam, compute_reduced_beam, heel_factor
 
-# Number of rows per band; each band is one task of the thread pool.
+# Number of detector rows per band; each band is one task of the thread pool.
 _BAND_ROWS = 128
-# Number of pixels in a row that are computed together; their exponents fit into the first-level cache.
+# Number of pixels in a row that are computed together, so that their exponents fit into the first-level cache.
 _BLOCK_COLS = 256
 
 
@@ -51,8 +51,8 @@ class Signal:
     kev : (rows, cols) float32 array
         Mean energy absorbed, in keV per pixel.
     photon_kev : (rows, cols) float32 array
-        Mean squared energy divided by mean energy of an absorbed photon, in keV. For Poisson statistics this is the
-        variance of the absorbed energy divided by its mean.
+        Mean squared energy divided by mean energy of the absorbed photons, in keV. For Poisson statistics, this ratio
+        equals the variance of the absorbed energy divided by its mean.
     """
 
     kev: NDArray[np.float32]
@@ -79,7 +79,8 @@ def transmit(
     workers : int, default 2
         Number of threads; it does not change the result.
     view : View, optional
-        Source and detector, for a source at another point of the focal spot. By default the view of the technique.
+        Source and detector positions, for example with the source at another point of the focal spot. None uses the
+        view of the technique.
 
     Returns
     -------
@@ -95,7 +96,7 @@ def compute_primary(
     workers: int = 2,
     view: View | None = None,
 ) -> Signal:
-    """Compute the primary signal for given path lengths, including heel effect and collimator.
+    """Compute the primary signal from path lengths, including the heel effect and the collimator.
 
     Parameters
     ----------
@@ -106,7 +107,8 @@ def compute_primary(
     workers : int, default 2
         Number of threads; it does not change the result.
     view : View, optional
-        Source and detector, for a source at another point of the focal spot. By default the view of the technique.
+        Source and detector positions, for example with the source at another point of the focal spot. None uses the
+        view of the technique.
 
     Returns
     -------

@@ -43,7 +43,7 @@ class Technique:
         return resolve_view(self.protocol)
 
     def material(self, name: str) -> Material:
-        """Look up the material with a given name.
+        """Look up a material by name.
 
         Parameters
         ----------
@@ -58,7 +58,7 @@ class Technique:
         Raises
         ------
         InputError
-            If the material is unknown.
+            The material is unknown.
         """
         return resolve_material(name, self.tissues)
 
@@ -78,7 +78,7 @@ class Technique:
         Raises
         ------
         InputError
-            If a value is out of range, or the detector is changed.
+            A value is out of range, or `changes` contains another detector.
         """
         protocol = replace(self.protocol, **changes)
         if protocol.detector != self.protocol.detector:
@@ -105,10 +105,10 @@ def resolve_technique(protocol: Protocol) -> Technique:
     Raises
     ------
     InputError
-        If `protocol` is not a Protocol.
+        `protocol` is not a Protocol.
     """
     if not isinstance(protocol, Protocol):
-        raise InputError(f"protocol must be a Protocol, such as load_protocol returns, got {protocol!r}")
+        raise InputError(f"protocol must be a Protocol, for example from load_protocol, got {protocol!r}")
     return Technique(
         protocol=protocol,
         detector=load_detectors()[protocol.detector],

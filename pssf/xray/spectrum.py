@@ -21,7 +21,7 @@ from .spectrum_quadrature import RELATIVE_TOLERANCE, fit_spectrum_quadrature
 
 # Source file and libraries whose changes invalidate cached spectra.
 _CACHE_ORIGIN = CacheKey(sources=("xray/spectrum.py",), libraries=("spekpy", "numpy"))
-# Step to which maximum path lengths are rounded up, in mm, so that similar scenes share a reduced beam.
+# Step, in mm, to which maximum path lengths are rounded up, so that similar scenes use the same reduced beam.
 _PATH_STEP_MM = 20.0
 # Width of the energy bins of a spectrum, in keV.
 _BIN_KEV = 0.5
@@ -114,7 +114,7 @@ def compute_reduced_beam(
     Beam
         Energies, photons and detector response.
     """
-    # Maximum path lengths are rounded up in steps, so that similar scenes share a fit.
+    # Maximum path lengths are rounded up in steps, so that similar scenes use the same fit.
     rounded = {
         name: float(_PATH_STEP_MM * np.ceil(most / _PATH_STEP_MM)) for name, most in max_path_mm.items() if most > 0
     }
@@ -146,7 +146,7 @@ def heel_factor(technique: Technique) -> Array:
     Returns
     -------
     (rows,) float64 array
-        Factor by which self-absorption in the anode changes the signal, without the inverse-square law.
+        Factor by which self-absorption in the anode changes the signal of each row, without the inverse-square law.
 
     Notes
     -----
@@ -159,7 +159,7 @@ def heel_factor(technique: Technique) -> Array:
     slopes = np.linspace(row[0], row[-1], _HEEL_POINTS)
     cut_off = np.tan(np.deg2rad(protocol.anode_angle_deg))
     if -row[0] > _NEAR_CUT_OFF * cut_off:
-        # Rows behind the collimator get the factor of the outermost row in the field.
+        # Rows outside the collimated field have the factor of the outermost row in the field.
         lit = min(-float(row[0]), protocol.field_edge_tangent)
         row = np.clip(row, -lit, lit)
         slopes = np.sort(sign * _slopes_near_cut_off(lit, float(cut_off)))
@@ -175,7 +175,8 @@ def _slopes_near_cut_off(max_slope: float, cut_off_slope: float) -> Array:
     """Place interpolation nodes that are denser towards the cut-off of the anode.
 
     `max_slope` is the tangent of the angle from the central ray to the field edge. `cut_off_slope` is the tangent of
-    the anode angle, which is greater. Returns tangents (13,), from -max_slope on the anode side to max_slope.
+    the anode angle, which is greater. Return the tangents of the nodes (13,), from -max_slope on the anode side to
+    max_slope.
     """
     return np.asarray(
         np.geomspace(cut_off_slope - max_slope, cut_off_slope + max_slope, _HEEL_POINTS_NEAR) - cut_off_slope

@@ -21,9 +21,9 @@ _MOST = 24
 _FITTED = 300
 # Number of random mixtures of materials for the check of the error.
 _CHECKED = 1500
-# Fraction of the open-beam signal below which mixtures are not used in the fit or the check.
+# Smallest signal of a mixture used in the fit or the check, as a fraction of the open-beam signal.
 _NEGLIGIBLE_SIGNAL = 1e-12
-# Steps by which selected energies are moved during the search, in bins.
+# Steps, in bins, by which the search moves the selected energies.
 _SEARCH_STEPS = (8, 4, 2, 1)
 
 
@@ -89,7 +89,7 @@ def _sample_bin_fractions(
 def _fit_weights(bin_fractions: Array, bins: NDArray[np.int64]) -> tuple[Array, float]:
     """Fit factors for the selected bins, so that the weighted contributions add up to 1 for every mixture.
 
-    Returns the factors and the largest deviation from 1.
+    Return the factors and the largest deviation from 1.
     """
     factors, _ = nnls(bin_fractions[:, bins], np.ones(len(bin_fractions)))
     return factors, float(np.abs(bin_fractions[:, bins] @ factors - 1).max())

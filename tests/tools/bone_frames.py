@@ -1,4 +1,4 @@
-"""Registration of patient bones to the frames of the template bones, which removes size and pose."""
+"""Registration of patient bones to the frames of template bones; registration removes size and pose."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Mutation test: break a copy of the package on purpose, and report whether the tests find each fault.
+"""Mutation test: insert faults into a copy of the package, and report whether the tests detect each fault.
 
 Run ``python -m tools.mutants --out results.csv`` in the folder `tests`. The faults are in `mutants.toml`.
 """
@@ -19,15 +19,15 @@ from typing import Annotated, NamedTuple
 import typer
 
 _CHECKOUT = Path(__file__).resolve().parents[2]
-# Files that the tests do not read: hidden folders, compiled modules, results of runs, the built site.
+# Files that tests do not need: hidden folders, compiled modules, results of runs, the built documentation.
 _NOT_COPIED = shutil.ignore_patterns(".*", "__pycache__", "runs", "_build")
-# Line of the summary of pytest that names a test.
+# Line in the pytest summary that names a failed test.
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - |$)", re.MULTILINE)
 _COLUMNS = ("name", "file", "found", "first_failing_test", "cpu_seconds")
 
 
 class Mutant(NamedTuple):
-    """One fault: the code `old` in a file below the folder pssf becomes `new`, which one of the tests should find."""
+    """One fault: `new` replaces the code `old` in a file of pssf, and one of the tests should detect the fault."""
 
     name: str
     file: str
@@ -85,7 +85,7 @@ class BrokenCopy:
             raise SystemExit(f"pssf must be imported from {self.root}, got {used}")
 
     def run_tests(self, *arguments: str) -> str:
-        """Run tests until the first one fails; return its name, the reason of another end, or "" if all pass."""
+        """Run tests until one fails; return the name of the failed test, "" if all pass, or why the run ended."""
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-p", "no:cacheprovider", *arguments]
         pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
         with subprocess.Popen(command, cwd=self.root, env=self.environment, start_new_session=True, **pipes) as run:
@@ -96,13 +96,14 @@ class BrokenCopy:
             finally:
                 if run.poll() is None:
                     os.killpg(run.pid, signal.SIGKILL)
-        if run.returncode in (4, 5):  # A wrong call, or no test.
+        # pytest reports a usage error (4) or that no tests were collected (5).
+        if run.returncode in (4, 5):
             raise SystemExit(output)
         failed = _FAILED.search(output)
         return "" if run.returncode == 0 else failed[1] if failed else f"exit code {run.returncode}"
 
     def try_mutant(self, mutant: Mutant) -> dict[str, object]:
-        """Run the tests of one mutant and return a row of the results; tests that fail without it do not count."""
+        """Run the tests of one mutant and return a result row; tests that also fail without the fault do not count."""
         path, cpu_s, skipped = self.root / "pssf" / mutant.file, 0.0, list[str]()
         text, times = path.read_text(), path.stat()
         while True:
@@ -110,7 +111,7 @@ class BrokenCopy:
             before_s = sum(os.times()[2:4])  # CPU time of finished child processes.
             failing = self.run_tests(*mutant.tests, *skipped)
             cpu_s += sum(os.times()[2:4]) - before_s
-            # The former time lets Python and numba use what they compiled before.
+            # The original file time lets Python and numba reuse code compiled before the fault.
             path.write_text(text)
             os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
             if "::" not in failing or not self.run_tests(failing):
@@ -127,7 +128,7 @@ def main(
     limit_s: Annotated[float, typer.Option(help="Time limit of one call of pytest, in seconds.")] = 600.0,
     check: Annotated[bool, typer.Option("--check", help="Only check that every mutant fits the checkout.")] = False,
 ) -> None:
-    """Break a copy of the package, one fault at a time, and write which faults the tests find."""
+    """Insert one fault at a time into a copy of the package, and write which faults the tests detect."""
     mutants = _load_mutants(checkout)
     names = only.split(",") if only else [one.name for one in mutants]
     problems = [f"no mutant {name!r}" for name in names if name not in {one.name for one in mutants}]

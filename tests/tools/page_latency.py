@@ -120,7 +120,7 @@ def _open_page(path: str) -> Iterator[Any]:
             page = browser.new_page(viewport={"width": 1500, "height": 900})
             page.set_default_timeout(_TIMEOUT_MS)
             page.goto(server.stdout.readline().strip())
-            # The 3D view is closed, because it is updated after each image and would delay the next image.
+            # The 3D view is closed, because updating the view after each image would delay the next image.
             page.evaluate("document.querySelector('#solids-open').open = false")
             page.wait_for_selector("html[data-picture$=whole]")
             yield page

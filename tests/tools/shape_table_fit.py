@@ -37,13 +37,16 @@ _MEAN_DIGITS = 2
 # Decimal places of mode displacements, in mm; one more than for the mean, because they are multiplied by scores.
 _MODE_DIGITS = 3
 _TOML_HEADER = """\
-# Lattices of control points that deform the template bones (anatomy.toml, in their bone frames before posture is
-# applied) to the mean patient bones, and control-point displacements per standard deviation of each shape mode, in mm.
-# Cubic B-splines, see geometry/freeform_deformation.py. Fitted to the bones named as source by
-# tests/tools/shape_table_fit.py. Pose and size are removed, with a common size of all three bones, which preserves the
-# width of the tibial plateau. The table contains no vertices, faces or eigenvectors of the source. A mode is named
-# after the shape measure with the highest correlation to its score over knees; this measure increases with the score.
-# rms_mm has the RMS displacements of femur, tibia and patella.
+# Statistical shape model: control-point lattices that deform the template bones to the mean of patient bones.
+# Each bone (anatomy.toml) is deformed in its own frame, before posture is applied.
+# The table also contains the displacements per standard deviation of each shape mode, in mm.
+# The deformation uses cubic B-splines (geometry/freeform_deformation.py).
+# tests/tools/shape_table_fit.py fitted the lattices to the bones named in `source`.
+# Pose and size are removed; all three bones have the same size factor, so the tibial plateau keeps its width.
+# The table contains no vertices, faces or eigenvectors of the source.
+# A mode is named after the shape measure with the highest correlation to the mode score.
+# The shape measure that names a mode increases with the mode score.
+# rms_mm is the RMS displacement of femur, tibia and patella.
 """
 
 

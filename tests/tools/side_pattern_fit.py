@@ -16,13 +16,13 @@ from pssf.core.processes.parallel_map import map_in_parallel
 from pssf.core.resample import downsample_by_blocks
 from pssf.data.analysis.localisation_table import LocalisationSettings, load_localisation_settings
 from pssf.data.anatomy.shape_table import load_shape_model
-from pssf.experiment import make_standard_templates
 from pssf.io.study_results import save_text
 from pssf.model.knee import Knee
 from pssf.model.protocol import Protocol, load_protocol
 from pssf.model.sampling.acquisition import sample_acquisition
 from pssf.model.sampling.knee_sampling import sample_knee
 from pssf.simulation import simulate
+from pssf.standard_templates import make_standard_templates
 from pssf.validation.knees.build_success import sample_wide_range_knee
 from pssf.validation.study_methods.localisation_rates import OTHER_PROTOCOLS, STUDY_PROTOCOLS, make_coarse_protocol
 
@@ -35,11 +35,13 @@ _KNEES = 800
 # to 94 % of 200 patient radiographs.
 _RIDGE = 0.01
 _TOML_HEADER = """\
-# Edge weights that distinguish right from left knees: ridge logistic regression on the difference between an image and
-# its mirror image, trained on {count} simulated knees. Three fifths are knees of the grade table population in fixed
-# flexion and standing AP with sampled acquisitions. The others are knees of the grade table paper and knees from wide
-# ranges of adults, under other protocols. Scaled to mean evidence 1 for right knees in cross-validation. Written by
-# tests/tools/side_pattern_fit.py.
+# Edge weights that distinguish right from left knees.
+# The weights are from ridge logistic regression on the difference between an image and its mirror image.
+# The training set has {count} simulated knees.
+# Three fifths are population knees in fixed flexion and standing AP, with sampled acquisitions.
+# The other knees are study knees and knees with wide ranges of adult parameters, with other protocols.
+# Weights are scaled to a mean evidence of 1 for right knees outside the training set.
+# `tests/tools/side_pattern_fit.py` writes this file.
 """
 
 

@@ -29,15 +29,18 @@ from ..template.cortical_unevenness import MAX_SD, compute_thickness_factor
 from ..template.template_bone import TemplateBone
 from .osteophyte_growth import BoneWithOsteophytes, grow_osteophytes
 
-# Distance from z = 0 at which shafts end, mm: outside the beam of every protocol, and inside the soft tissue.
+# Distance of the cut ends of the shafts from z = 0, in mm. The ends are outside the beam of every protocol and inside
+# the soft tissue.
 SHAFT_END_MM = 180.0
-# Additional length of a medullary canal before it is deformed and cut, mm.
+# Length added to a medullary canal before it is deformed and cut, in mm.
 _CANAL_EXTRA_MM = 20.0
-# Distance between the rings of a canal, mm; with 48 points per ring, triangles are within 0.05 mm of the surface.
+# Distance between two rings of a canal, in mm. With 48 points per ring, the triangles are within 0.05 mm of the
+# surface.
 _RING_MM = 5.0
-# Points per ring of a canal; trabeculae blur its edge, so a coarse mesh is sufficient.
+# Number of points per ring of a canal. A coarse mesh is sufficient, because trabeculae blur the edge of the canal.
 _AROUND = 48
-# Clearance between the canal and a cortex of mean thickness, mm. The variation of cortical thickness is added to it.
+# Clearance between the canal and a cortex of mean thickness, in mm. The variation in cortical thickness is added to
+# this clearance.
 _CANAL_CLEARANCE_MM = 0.4
 
 
@@ -48,9 +51,10 @@ class Bone:
     Parameters
     ----------
     outer : Manifold
-        Outer surface. Cortex and subchondral bone plate fill the volume between `outer` and `inner`.
+        Solid bounded by the outer surface of the bone. Cortex and subchondral bone plate fill the volume between
+        `outer` and `inner`.
     inner : Manifold
-        Surface of the trabecular bone.
+        Solid bounded by the surface of the trabecular bone.
     canal : Manifold or None
         Medullary canal, filled with marrow. None if the bone has no canal.
     """
@@ -75,7 +79,7 @@ def space_ring_heights(low_mm: float, high_mm: float, step_mm: float) -> Array:
     Returns
     -------
     (n,) float64 array
-        Heights in mm, at least two, both ends included.
+        At least two heights in mm, including `low_mm` and `high_mm`.
     """
     return np.linspace(low_mm, high_mm, max(2, round((high_mm - low_mm) / step_mm) + 1))
 
@@ -98,7 +102,7 @@ def grow_femur_osteophytes(bone_parameters: BoneParameters, osteophytes: tuple[O
     Raises
     ------
     InputError
-        One osteophyte hides the farthest point of another osteophyte.
+        If one osteophyte hides the farthest point of another osteophyte.
     """
     mean, margins = bone_parameters.template_femur, bone_parameters.shape.osteophytes
     return grow_osteophytes(
@@ -128,7 +132,7 @@ def grow_tibia_osteophytes(bone_parameters: BoneParameters, osteophytes: tuple[O
     Raises
     ------
     InputError
-        One osteophyte hides the farthest point of another osteophyte.
+        If one osteophyte hides the farthest point of another osteophyte.
     """
     mean, margins = bone_parameters.template_tibia, bone_parameters.shape.osteophytes
     return grow_osteophytes(
@@ -148,7 +152,7 @@ def prepare_template_bones(bone_parameters: BoneParameters) -> None:
     bone_parameters : BoneParameters
         Parameters of the bones of the knee.
     """
-    # After an installation, each template bone takes seconds to build, so two threads build them in parallel.
+    # After installation, building a template bone takes seconds, so two threads build both bones in parallel.
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(TemplateBone.prepare, (bone_parameters.template_femur, bone_parameters.template_tibia)))
 
@@ -189,18 +193,18 @@ def build_femur(bone_parameters: BoneParameters, outer_bone: BoneWithOsteophytes
     outer_bone : BoneWithOsteophytes
         Outer surface of the femur with its osteophytes.
     cortex_depth_mm : (n,) float64 array
-        Thickness of cortex and plate, in mm, as `compute_cortex_depths_mm` returns it.
+        Thickness of cortex and subchondral bone plate, in mm, from `compute_cortex_depths_mm`.
 
     Returns
     -------
     Bone
-        Solids in the frame of the femur: z = 0 near the distal end of the condyles. The shaft leans laterally by
+        Solids in the frame of the femur, with z = 0 near the distal end of the condyles. The shaft leans laterally by
         `femur_valgus_deg`.
 
     Raises
     ------
     InputError
-        A surface is not a valid solid.
+        If a surface is not a valid solid.
     """
     table, s, mean = bone_parameters.shape.femur, bone_parameters.scale, bone_parameters.template_femur
     marrow = mean.build_inner_mesh(cortex_depth_mm)
@@ -224,18 +228,18 @@ def build_tibia(bone_parameters: BoneParameters, outer_bone: BoneWithOsteophytes
     outer_bone : BoneWithOsteophytes
         Outer surface of the tibia with its osteophytes.
     cortex_depth_mm : (n,) float64 array
-        Thickness of cortex and plate, in mm, as `compute_cortex_depths_mm` returns it.
+        Thickness of cortex and subchondral bone plate, in mm, from `compute_cortex_depths_mm`.
 
     Returns
     -------
     Bone
-        Solids in the frame of the tibia: z = 0 near the centre of the plateau. The shaft leans medially by
+        Solids in the frame of the tibia, with z = 0 near the centre of the plateau. The shaft leans medially by
         `tibia_varus_deg`.
 
     Raises
     ------
     InputError
-        A surface is not a valid solid.
+        If a surface is not a valid solid.
     """
     table, s, mean = bone_parameters.shape.tibia, bone_parameters.scale, bone_parameters.template_tibia
     marrow = mean.build_inner_mesh(cortex_depth_mm)
@@ -252,7 +256,7 @@ def build_tibia(bone_parameters: BoneParameters, outer_bone: BoneWithOsteophytes
 def _build_nested_solids(
     bone_parameters: BoneParameters, name: str, outer_bone: BoneWithOsteophytes, inner: Mesh, canal: Manifold
 ) -> Bone:
-    """Deform, scale and cut the surfaces of a bone; inner surfaces end closer to the joint."""
+    """Deform, scale and cut the surfaces of a bone. The shafts of inner surfaces are cut closer to the joint."""
     up, stood = (1, scale_and_lean_femur) if name == "femur" else (-1, scale_slope_and_lean_tibia)
     marrow = extract_mesh(canal)
     solids = []

@@ -15,8 +15,8 @@ from ..meshing.solids import extract_mesh, require_valid_solid
 from ..template.template_bone import TemplateBone
 from .marginal_osteophytes import Deformation
 
-# Number of interpolated cones between two consecutive feet. All cones together approximate the convex hull of feet and
-# tips.
+# Number of interpolated cones between two consecutive base points. All cones together approximate the convex hull of
+# the balls at base points and tips.
 _CONES_PER_SIDE = 8
 # Number of iterations that move the tip to the specified protrusion.
 _TURNS = 16
@@ -27,41 +27,41 @@ _STEP_MM = 1e-3
 _LEANS = 1.0
 # Largest lean of a spine osteophyte, mm.
 _MOST_LEANING_MM = 1.5
-# Largest breadth of a spine osteophyte, mm; a smaller breadth equals the size. Spine osteophytes are ridges that fill
-# the saddle between the spines (10 patient radiographs of KL 4). This number and the next four are assumed.
+# Largest breadth of a spine osteophyte, in mm (assumed). Below this limit, the breadth equals the size. Spine
+# osteophytes are ridges that fill the saddle between the spines (10 patient radiographs of KL 4).
 _BROADEST_MM = 2.5
-# Largest product of breadth and size of a spine osteophyte, mm2. Tall ridges are therefore narrow and stay clear of the
-# femur.
+# Largest product of breadth and size of a spine osteophyte, in mm2 (assumed). Tall ridges are therefore narrow and stay
+# clear of the femur.
 _TALL_MM2 = 8.0
-# Distance from the top of the spine to the foot of the ridge in the saddle, mm.
+# Distance from the top of the spine to the base of the ridge in the saddle, in mm (assumed).
 _INNER_FOOT_MM = 4.0
-# Length of the crest from its top to its anterior and posterior end, mm per mm of breadth.
+# Distance from the top of the crest to its anterior and posterior ends, in mm per mm of breadth (assumed).
 _CREST_RUNS = 2.2
-# Height difference between the top and the ends of the crest, mm per mm of breadth.
+# Height difference between the top and the ends of the crest, in mm per mm of breadth (assumed).
 _CREST_FALLS = 0.45
-# Range of distances from the midline in which the top of a spine is searched, mm at template size. Farther out, the
-# margin of a concave plateau may be higher than the spine.
+# Range of distances from the midline within which the top of a spine is searched, in mm at template size. Beyond this
+# range, the margin of a concave plateau may be higher than the spine.
 _SPINE_RANGE_MM = (1.0, 16.0)
-# Distance of the feet from the joint margin, in the direction away from the joint, mm at template size.
+# Distance of the base points from the joint margin, in the direction away from the joint, in mm at template size.
 _FOOT_OFFSET_MM = 3.0
-# Number of feet around the central foot of a central osteophyte; the number of tips is the same.
+# Number of base points around the central base point of a central osteophyte; the number of tips is the same.
 _AROUND = 6
-# Order in which interpolated cones connect these feet. The central foot has number 6; its cones fill the inside of the
-# ring.
+# Order in which interpolated cones connect the base points of a central osteophyte. Number 6 is the central base point;
+# its cones fill the inside of the ring.
 _STAR = (0, 6, 3, 1, 6, 4, 2, 6, 5, 0)
 
 
 @dataclass(frozen=True, eq=False)
 class SpikeOsteophyte:
-    """Spike osteophyte: cones from feet in the bone to tips; the farthest tip protrudes by the size.
+    """Spike osteophyte: cones that connect base points in the bone to tips. The farthest tip protrudes by the size.
 
     Attributes
     ----------
     feet : (k, 3) float64 array
-        Centres of the balls at the feet, in mm. One cone connects each foot to its tip. Interpolated cones fill the
-        gaps between consecutive feet.
+        Base points of the cones (centres of balls), in mm. One cone connects each base point to its tip. Interpolated
+        cones fill the gaps between consecutive base points.
     foot_mm : float
-        Radius of the balls at the feet, in mm.
+        Radius of the balls at the base points, in mm.
     tips : (k, 3) float64 array
         Centres of the balls at the tips, in mm.
     tip_mm : float
@@ -91,7 +91,10 @@ class SpikeOsteophyte:
 
     @property
     def fillet_mm(self) -> float:
-        """Radius of the fillet between osteophyte and bone, in mm; below the size, so the tip does not move."""
+        """Radius of the fillet between osteophyte and bone, in mm.
+
+        The radius is below the size, so the fillet does not move the tip.
+        """
         return min(2.0, 0.8 * self.size_mm)
 
     def is_near(self, points: Array) -> NDArray[np.bool_]:
@@ -129,7 +132,7 @@ class SpikeOsteophyte:
 
     @cached_property
     def _cones(self) -> tuple[Array, Array]:
-        """Feet and tips (cones, 3) of all cones, including the interpolated cones, mm."""
+        """Return base points and tips (cones, 3) of all cones, including the interpolated cones, in mm."""
         corners = np.arange(len(self.feet))
         shares = np.linspace(0.0, corners[-1], _CONES_PER_SIDE * corners[-1] + 1)
         feet, tips = (
@@ -139,12 +142,12 @@ class SpikeOsteophyte:
         return feet, tips
 
     def build_solid(self, inset_mm: float) -> Manifold:
-        """Build the convex hull of the balls at feet and tips, reduced by an inset.
+        """Build the convex hull of the balls at base points and tips, with its surface moved inwards by an inset.
 
         Parameters
         ----------
         inset_mm : float
-            Distance by which the surface is moved inwards, in mm. The inset removes the whole tip of a small
+            Distance by which the surface is moved inwards, in mm. The inset removes the entire tip of a small
             osteophyte.
 
         Returns
@@ -155,7 +158,7 @@ class SpikeOsteophyte:
         Raises
         ------
         InputError
-            The hull is not a valid solid.
+            If the hull is not a valid solid.
         """
         tip_mm = max(self.tip_mm - inset_mm, 0.1)
         middle = self.feet.mean(axis=0)
@@ -174,16 +177,16 @@ def build_margin_spike(
     Parameters
     ----------
     table : OsteophyteMargin
-        Table of the joint margin.
+        Dimensions of the joint margin.
     side_sign : float
-        +1 for the medial side, -1 for the lateral side.
+        +1 for the medial compartment, -1 for the lateral compartment.
     bare_bone : Manifold
         Outer solid of the template bone.
     size_mm : float
         Size of the osteophyte at template size, in mm.
     deform : callable
-        Deformation that is applied to the bone later; maps points (n, 3), in mm, to points (n, 3), in mm. The
-        osteophyte has its specified size after this deformation.
+        Deformation that is later applied to the bone. It maps points (n, 3), in mm, to points (n, 3), in mm. The
+        osteophyte has the specified size after this deformation.
 
     Returns
     -------
@@ -218,8 +221,8 @@ def build_spine_spike(side_sign: float, bare_bone: Manifold, size_mm: float, def
     size_mm : float
         Size of the osteophyte at template size, in mm.
     deform : callable
-        Deformation that is applied to the bone later; maps points (n, 3), in mm, to points (n, 3), in mm. The
-        osteophyte has its specified size after this deformation.
+        Deformation that is later applied to the bone. It maps points (n, 3), in mm, to points (n, 3), in mm. The
+        osteophyte has the specified size after this deformation.
 
     Returns
     -------
@@ -261,16 +264,16 @@ def build_central_spike(
     Parameters
     ----------
     table : CentralOsteophyteShape
-        Shape table of central osteophytes.
+        Dimensions of central osteophytes.
     location : (float, float)
-        Side, +1 medial or -1 lateral, and position from anterior (-1) to posterior (+1), dimensionless.
+        Compartment (+1 medial, -1 lateral) and antero-posterior position (-1 anterior to +1 posterior), dimensionless.
     bare_bone : TemplateBone
         Template bone.
     size_mm : float
-        Height above the surrounding bare bone, at template size, in mm.
+        Height of the osteophyte above the surrounding bone surface, in mm at template size.
     deform : callable
-        Deformation that is applied to the bone later; maps points (n, 3), in mm, to points (n, 3), in mm. The
-        osteophyte has its specified size after this deformation.
+        Deformation that is later applied to the bone. It maps points (n, 3), in mm, to points (n, 3), in mm. The
+        osteophyte has the specified size after this deformation.
 
     Returns
     -------
@@ -310,10 +313,10 @@ def _fit_protrusion(
     size_mm: float,
     deform: Deformation,
 ) -> SpikeOsteophyte:
-    """Adjust a spike until its deformed farthest point protrudes by its size beyond the deformed bare bone.
+    """Adjust a spike until its farthest point protrudes by its size beyond the bone without osteophytes.
 
-    The protrusion is measured along `direction` (3,); `margin_mm` is the extent of the deformed bare bone in this
-    direction.
+    The bone and the spike are compared after deformation. The protrusion is measured along `direction` (3,);
+    `margin_mm` is the extent of the deformed bone in this direction.
     """
     stands_mm, out = size_mm, direction
     for _ in range(_TURNS):
@@ -330,9 +333,9 @@ def _fit_protrusion(
 
 @kernel()
 def _fill_cone_distances(away: Array, points: Array, feet: Array, tips: Array, foot_mm: float, tip_mm: float) -> None:
-    """Fill the approximate distances (n,) of points (n, 3) from the nearest cone between foot and tip balls, mm."""
+    """Write the approximate distances (n,) of points (n, 3) from the nearest cone into `away`, in mm."""
     for i in range(len(points)):
-        # The minimum is not blended, because blended cones would be too thick at the tip, where they meet.
+        # The distances are not blended, because blended cones would be too thick where they meet at the tip.
         nearest = np.inf
         for k in range(len(feet)):
             along, square, squared = 0.0, 0.0, 0.0
@@ -349,5 +352,5 @@ def _fill_cone_distances(away: Array, points: Array, feet: Array, tips: Array, f
 
 
 def _build_ball(centre_mm: Array, radius_mm: float) -> Manifold:
-    """Build a sphere at a centre (3,), mm."""
+    """Build a sphere with its centre at a point (3,), in mm."""
     return Manifold.sphere(radius_mm, 32).translate(centre_mm)

@@ -15,45 +15,45 @@ from ..meshing.implicit_shapes import ScalarField, smooth_intersection
 from ..meshing.solids import extract_mesh, loft
 from ..template.template_bone import TemplateBone
 
-# Maps points (n, 3) to deformed points (n, 3), in mm.
+# A deformation maps points (n, 3), in mm, to deformed points (n, 3), in mm.
 Deformation = Callable[[Array], Array]
 # Points per cross-section of an osteophyte.
 _AROUND = 24
 # Distance between two cross-sections, mm.
 _SECTION_MM = 1.2
-# Number of positions along the margin at which the outline of the bone is sampled.
+# Number of positions along the joint margin at which the outline of the bone is sampled.
 _STATIONS = 9
-# Distance of the outermost positions from the centre of the margin, mm.
+# Distance of the outermost sampled positions from the centre of the joint margin, in mm.
 _FARTHEST_MM = 13.0
-# Distance from the margin inwards at which the joint surface is sampled, mm.
+# Distance of the sampled joint surface from the margin, in the inward direction, in mm.
 _INWARD_MM = 5.0
-# Distance below the joint surface at which the margin is sampled, mm.
+# Depth below the joint surface at which the margin is sampled, in mm.
 _UNDER_MM = 3.0
-# Start and end of the lines along which the surface of the bone is searched, mm.
+# Start and end of the lines along which the bone surface is searched, in mm.
 _WAYS_MM = (-12.0, 12.0)
-# Samples along each of these lines.
+# Number of samples along each line on which the bone surface is searched.
 _SAMPLES = 49
-# Distance from the farthest margin point within which points are averaged to find the centre of the margin, mm.
+# The centre of the margin is the mean of all points within this distance of the farthest margin point, in mm.
 _MARGIN_TOLERANCE_MM = 0.3
-# Radius with which both ends of an osteophyte are rounded, mm; most ends are inside the bone.
+# Rounding radius of both ends of an osteophyte, in mm. Most ends are inside the bone.
 _END_ROUNDING_MM = 1.0
 # Distance from the profile of an osteophyte beyond which the bone is unchanged, mm.
 _INFLUENCE_MM = 4.0
-# Smallest number of valid positions to which a parabola is fitted.
+# Smallest number of valid positions for the fit of a parabola.
 _FEWEST = 4
-# Depth of both ends of an osteophyte below the bone surface, mm, in addition to the radius of the fillet.
+# Depth of both ends of an osteophyte below the bone surface, in mm. The fillet radius is added to it.
 _SUNK_MM = 0.3
 # Largest number of iterations that find the farthest point and move it to the specified protrusion.
 _TURNS = 60
 # Tolerance of the protrusion, mm.
 _SETTLED_MM = 1e-9
-# Tolerance of the coordinates of the farthest point, mm along the edge and rad around it.
+# Tolerance of the location of the farthest point: mm along the edge and rad around the edge.
 _STILL = 1e-4
-# Finite-difference steps of these coordinates, mm and rad.
+# Finite-difference steps of the location of the farthest point: mm along the edge and rad around the edge.
 _STEPS = (0.02, 0.02)
-# Largest change of these coordinates per iteration, mm and rad.
+# Largest change of the location of the farthest point per iteration: mm along the edge and rad around the edge.
 _MOST = (2.0, 0.3)
-# Largest angle of the farthest point around the edge, rad.
+# Largest angle between the farthest point and the outward direction, around the edge, in rad.
 _WIDEST = 1.2
 # Finite-difference step for the surface normal, mm.
 _STEP_MM = 1e-3
@@ -72,9 +72,10 @@ class LipOsteophyte:
     axes : (3, 3) float64 array
         Unit vectors of the local coordinates, in rows: along the margin, outwards, towards the joint.
     edge_polynomial : (3,) float64 array
-        Outward position of the edge, in mm, as a polynomial (powers 0 to 2) of the position along the margin.
+        Polynomial (powers 0 to 2) of the position along the margin that gives the outward position of the edge, in mm.
     rise_polynomial : (3,) float64 array
-        Position of the edge towards the joint, in mm, as a polynomial (powers 0 to 2) of the position along the margin.
+        Polynomial (powers 0 to 2) of the position along the margin that gives the position of the edge towards the
+        joint, in mm.
     half_length_mm : float
         Distance from the centre of the osteophyte to either end, in mm. Both ends are inside the bone.
     size_mm : float
@@ -86,8 +87,8 @@ class LipOsteophyte:
     long_mm : float
         Distance from the edge inwards to the centre of the base, in mm.
     tip_above_foot_mm : float
-        Height of the tip above the base, in mm; 0 unless the tip is above the joint surface. It is at most the size,
-        so the flank stays clear of the bone.
+        Height of the tip above the base, in mm. It is 0 unless the tip is above the joint surface. It is at most the
+        size of the osteophyte, so the flank stays clear of the bone.
     bend_tangent : float
         Tangent of the angle by which the profile curves towards the joint, dimensionless.
     farthest_coordinates : (2,) float64 array
@@ -122,7 +123,10 @@ class LipOsteophyte:
 
     @property
     def fillet_mm(self) -> float:
-        """Radius of the fillet between osteophyte and bone, in mm; below the size, so the tip does not move."""
+        """Radius of the fillet between osteophyte and bone, in mm.
+
+        The radius is below the size, so the fillet does not move the tip.
+        """
         return fillet_radius_mm(self.size_mm)
 
     def compute_surface_points(self, spots: Array) -> Array:
@@ -190,12 +194,12 @@ class LipOsteophyte:
         return smooth_intersection(profile, np.abs(along) - self.half_length_mm, _END_ROUNDING_MM)
 
     def build_solid(self, inset_mm: float) -> Manifold:
-        """Build the osteophyte as a loft of its cross-sections, reduced by an inset.
+        """Build the osteophyte as a loft through its cross-sections, with its surface moved inwards by an inset.
 
         Parameters
         ----------
         inset_mm : float
-            Distance by which the surface is moved inwards, in mm. The inset removes the whole edge of a small
+            Distance by which the surface is moved inwards, in mm. The inset removes the entire edge of a small
             osteophyte.
 
         Returns
@@ -206,14 +210,14 @@ class LipOsteophyte:
         Raises
         ------
         InputError
-            The loft is not a valid solid.
+            If the loft is not a valid solid.
         """
         count = int(np.ceil(2 * self.half_length_mm / _SECTION_MM)) + 1
         along = np.linspace(-self.half_length_mm, self.half_length_mm, count)
         turn = np.arange(_AROUND) * (2 * np.pi / _AROUND)
         ways = np.column_stack((np.cos(turn), np.sin(turn)))
-        # The profile is the convex hull of two circles. In each direction, its point is on the circle that extends
-        # farther.
+        # The profile is the convex hull of two circles. Its point in each direction is on the circle that extends
+        # farther in this direction.
         reach = np.array([ways @ centre + radius for centre, radius in self._place_profile_balls(inset_mm)])
         each = np.array([centre + radius * ways for centre, radius in self._place_profile_balls(inset_mm)])
         section = np.where((reach[0] > reach[1])[:, None], each[0], each[1])
@@ -240,7 +244,10 @@ class LipOsteophyte:
         )
 
     def _stretch_factor(self, along: Array) -> Array:
-        """Compute the factors (n,) that stretch outward distances where the edge is oblique to the outward axis."""
+        """Compute the stretch factors (n,) of outward distances.
+
+        A factor exceeds 1 where the edge is oblique to the outward axis.
+        """
         return np.asarray(np.hypot(1.0, polyval(along, [self.edge_polynomial[1], 2 * self.edge_polynomial[2]])))
 
     def _compute_bend_mm(self, out: Array) -> Array:
@@ -248,9 +255,9 @@ class LipOsteophyte:
         return np.asarray(self.bend_tangent * np.maximum(out + self.size_mm, 0.0) ** 2 / (2 * self.size_mm))
 
     def _place_profile_balls(self, inset_mm: float) -> tuple[tuple[Array, float], tuple[Array, float]]:
-        """Return centre and radius of the base circle and of the tip circle of the profile, mm.
+        """Return the centres and radii of the base circle and the tip circle of the profile, in mm.
 
-        A centre (2,) contains the distances from the edge outwards and towards the joint.
+        Each centre (2,) contains the distances from the edge in the outward direction and towards the joint.
         """
         tip_mm = max(self.edge_mm - inset_mm, 0.1)
         back = max(0.0, inset_mm - (self.edge_mm - tip_mm))
@@ -278,10 +285,10 @@ def build_lip_osteophyte(
     template : TemplateBone
         Template bone.
     tables : (OsteophyteMargin, MarginalOsteophyteShape)
-        Table of the joint margin of this bone, and shape table of marginal osteophytes.
+        Dimensions of the joint margin of this bone, and dimensions of marginal osteophytes.
     deform : callable
-        Deformation that is applied to the bone later; maps points (n, 3), in mm, to points (n, 3), in mm. The
-        osteophyte has its specified size after this deformation.
+        Deformation that is later applied to the bone. It maps points (n, 3), in mm, to points (n, 3), in mm. The
+        osteophyte has the specified size after this deformation.
 
     Returns
     -------
@@ -328,9 +335,11 @@ def build_lip_osteophyte(
 
 
 def _fit_outline(field: ScalarField, origin: Array, axes: Array) -> tuple[Array, Array]:
-    """Fit polynomials (3,) to the outward edge of the bone and to the height of its joint surface along the margin.
+    """Fit polynomials to the outward edge and to the height of the joint surface of a bone, along its margin.
 
-    `origin` (3,) and `axes` (3, 3) are the attributes of `LipOsteophyte` with these names.
+    Each polynomial has shape (3,).
+
+    `origin` (3,) and `axes` (3, 3) are the attributes `origin` and `axes` of `LipOsteophyte`.
     """
     along = np.linspace(-_FARTHEST_MM, _FARTHEST_MM, _STATIONS)
     ways = np.linspace(*_WAYS_MM, _SAMPLES)
@@ -341,9 +350,9 @@ def _fit_outline(field: ScalarField, origin: Array, axes: Array) -> tuple[Array,
 
 
 def _find_bone_edge_mm(field: ScalarField, starts: Array, direction: Array, distances_mm: Array) -> Array:
-    """Find the distance (n,) from starts (n, 3) along a direction at which the bone ends, mm.
+    """Find the distances (n,) from the starting points (n, 3), along a direction, at which lines leave the bone, in mm.
 
-    The result is nan where the line does not leave the bone.
+    The distance is nan where a line does not leave the bone.
     """
     places = starts[:, None] + distances_mm[:, None] * direction
     values = field(places.reshape(-1, 3)).reshape(len(starts), -1)
@@ -356,7 +365,10 @@ def _find_bone_edge_mm(field: ScalarField, starts: Array, direction: Array, dist
 
 
 def _fit_parabola(along: Array, values: Array) -> Array:
-    """Fit a parabola (3,) to the values (n,) along the margin that are not nan; fit a constant if too few remain."""
+    """Fit a parabola (3,) to the values (n,) along the margin, ignoring nan.
+
+    If too few values remain, the result is a constant.
+    """
     there = ~np.isnan(values)
     if there.sum() < _FEWEST:
         return np.array([np.nanmean(values) if there.any() else 0.0, 0.0, 0.0])
@@ -364,9 +376,10 @@ def _fit_parabola(along: Array, values: Array) -> Array:
 
 
 def _fit_protrusion(lip: LipOsteophyte, direction: Array, margin_mm: float, deform: Deformation) -> LipOsteophyte:
-    """Adjust an osteophyte until its deformed farthest point protrudes by its size beyond the deformed bare bone.
+    """Adjust an osteophyte until its farthest point protrudes by its size beyond the bone without osteophytes.
 
-    The protrusion is measured along `direction` (3,). The farthest point is found by Newton's method.
+    The bone and the osteophyte are compared after deformation. The protrusion is measured along `direction` (3,).
+    Newton's method finds the farthest point.
     """
     steps = np.array(_STEPS)
     around = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1)]) * steps
@@ -377,7 +390,7 @@ def _fit_protrusion(lip: LipOsteophyte, direction: Array, margin_mm: float, defo
         bend = np.array([reach[1] + reach[2], reach[3] + reach[4]]) - 2 * reach[0]
         mixed = (reach[5] + reach[6] - reach[1:5].sum() + 2 * reach[0]) / 2
         curved = np.array([[bend[0], mixed], [mixed, bend[1]]]) / np.outer(steps, steps)
-        # A gradient step is made where the surface is not concave, because Newton's method needs a maximum.
+        # Newton's method converges only near a maximum, so a gradient step is made where the surface is not concave.
         dome = bend.max() < 0 and np.linalg.det(curved) > 0
         step = -np.linalg.solve(curved, slope) if dome else slope
         step = np.clip(step, -np.array(_MOST), _MOST)

@@ -31,33 +31,35 @@ from .marginal_osteophytes import Deformation, LipOsteophyte, build_lip_osteophy
 
 # Smallest thickness of the cortex of an osteophyte, mm.
 _CORTEX_MM = 0.3
-# Additional thickness of the cortex as a fraction of the size of the osteophyte, dimensionless.
+# Additional cortical thickness per size of the osteophyte, dimensionless.
 _CORTEX_PER_SIZE = 0.06
-# Number of smoothing rounds for the mesh around osteophytes.
+# Number of smoothing iterations of the mesh around osteophytes.
 _SMOOTHING_ROUNDS = 3
-# Longest mesh edge of the interior of an osteophyte, mm.
+# Largest edge length of the mesh of an osteophyte interior, in mm.
 _EDGE_MM = 2.0
-# Longest mesh edge of the outer solid of an osteophyte before smoothing, mm.
+# Largest edge length of the outer osteophyte mesh before smoothing, in mm.
 _ROUGH_EDGE_MM = 1.2
-# Smallest depth of interior vertices below the surface, mm; shallower vertices are moved to this depth.
+# Smallest depth of vertices of an osteophyte interior below the bone surface, in mm. Shallower vertices are moved to
+# this depth.
 _SHALLOW_MM = 0.2
-# Number of Newton iterations that move these vertices. Vertices of the tips are deep enough and are not moved.
+# Number of Newton iterations that move shallow interior vertices inwards. Vertices at the tips are deep enough and stay
+# in place.
 _STEPS = 4
-# Smallest distance of an interior edge from the surface, mm; closer edges are split.
+# Smallest distance of an edge of an osteophyte interior from the bone surface, in mm. Closer edges are split.
 _NEAR_MM = 0.1
-# Positions along an edge at which its depth below the surface is tested, as fractions of its length.
+# Positions along an edge at which its depth below the bone surface is tested, as fractions of the edge length.
 _ALONG = (0.25, 0.5, 0.75)
-# Largest number of edge-splitting rounds.
+# Largest number of times that the edges of a mesh are split.
 _SPLITS = 4
 # Distance by which the bone surface is moved inwards before an osteophyte interior is intersected with the bone, mm.
 _DRAWN_IN_MM = 0.3
-# Marginal osteophytes below this size become spikes, mm at template size.
+# Size below which a marginal osteophyte becomes a spike, in mm at template size.
 _MAX_SPIKE_SIZE_MM = 0.38
-# Largest volume of detached components of trabecular bone that are removed, mm3. Deformation would turn them inside
-# out.
+# Largest volume of a detached component of trabecular bone that is removed, in mm3. Deformation would invert such a
+# small component.
 _SPECK_MM3 = 1e-2
-# Marginal or spike osteophyte. Both classes have a farthest point, a distance field, a solid and a test for near
-# points.
+# Marginal or spike osteophyte. Both classes provide a farthest point, a distance field, a solid and a test for points
+# near the osteophyte.
 OsteophyteShape = LipOsteophyte | SpikeOsteophyte
 
 
@@ -70,11 +72,12 @@ class BoneWithOsteophytes:
     name : str
         Name of the bone.
     field : callable
-        Maps points (n, 3), in mm, to approximate signed distances (n,) from the surface, in mm, negative inside.
+        Function that maps points (n, 3), in mm, to their approximate signed distances (n,) from the surface, in mm,
+        negative inside.
     make_mesh : callable
         Function that makes the surface mesh. It creates no solid, so any thread may call it.
     deform : callable
-        Deformation of the bone; maps points (n, 3), in mm, to points (n, 3), in mm.
+        Deformation of the bone. It maps points (n, 3), in mm, to points (n, 3), in mm.
     shapes : tuple of LipOsteophyte or SpikeOsteophyte
         Osteophytes of the bone.
     """
@@ -92,7 +95,7 @@ class BoneWithOsteophytes:
 
     @cached_property
     def outer(self) -> Manifold:
-        """Solid that the surface mesh bounds, at template size, in mm."""
+        """Solid bounded by the surface mesh, at template size, in mm."""
         return build_solid(*self.mesh, f"{self.name} with osteophytes")
 
     @cached_property
@@ -113,12 +116,12 @@ class BoneWithOsteophytes:
         Returns
         -------
         Mesh
-            Trabecular surface with osteophytes; `marrow` itself if the bone has no osteophytes.
+            Trabecular surface with osteophytes, or unchanged `marrow` if the bone has no osteophytes.
 
         Raises
         ------
         InputError
-            A surface is not a valid solid.
+            If a surface is not a valid solid.
         """
         if not self.shapes:
             return marrow
@@ -130,15 +133,15 @@ class BoneWithOsteophytes:
             drawn_in = self._inset_mesh(fine)
             if drawn_in is not None:
                 inner = inner + build_solid(*drawn_in, "osteophyte interior")
-            else:  # The moved mesh would have inverted faces; the slower Boolean operation avoids them.
+            else:  # The moved mesh would have inverted faces. The slower Boolean operation avoids these faces.
                 inner = inner + _intersect_inset_bone(within, self.outer, shape.direction).refine_to_length(_EDGE_MM)
         return extract_mesh(_remove_specks(inner))
 
     def _inset_mesh(self, within: Mesh) -> Mesh | None:
         """Move shallow vertices of an osteophyte interior inwards, or return None if this move inverts faces.
 
-        The feet of a small osteophyte may extend beyond the bone at a margin. An edge across a crease may have deep
-        ends and a shallow midpoint. This edge is split, and the new vertex is moved inwards too.
+        The base of a small osteophyte may extend beyond the bone at a margin. An edge across a crease may have deep
+        ends and a shallow midpoint. Such an edge is split, and the new vertex is moved inwards too.
         """
         for _ in range(_SPLITS):
             places = within.vertices.copy()
@@ -153,8 +156,9 @@ class BoneWithOsteophytes:
         return moved
 
     def _find_shallow_edges(self, places: Array, edges: Indices) -> tuple[Indices, Array]:
-        """Find the edges (n, 2) that come too close to the surface, and their midpoints (n, 3), mm."""
-        # A point on an edge is closer to the surface than the nearer end by at most half the edge length.
+        """Find the edges (n, 2) that are too close to the bone surface, and their midpoints (n, 3), in mm."""
+        # The distance of a point on an edge from the surface is smaller than that of the nearer edge end by at most
+        # half the edge length.
         shallow = self.field(places) > -_EDGE_MM / 2 - _NEAR_MM
         edges = edges[shallow[edges].any(axis=1)]
         ends = places[edges]
@@ -168,7 +172,7 @@ class BoneWithOsteophytes:
 
 
 def _compute_face_normals(mesh: Mesh) -> Array:
-    """Compute the normals (m, 3) of all faces, not normalised."""
+    """Compute the normal vectors (m, 3) of all faces without normalising their length."""
     one, two, three = mesh.vertices[mesh.faces.T]
     return np.cross(two - one, three - one)
 
@@ -178,8 +182,8 @@ def _intersect_inset_bone(within: Manifold, bone: Manifold, direction: Array) ->
     about = bone ^ build_bounding_box(within, 2 * _DRAWN_IN_MM)
     within = within ^ about
     for way in (*np.eye(3), *-np.eye(3), -direction):
-        # The shifted copies of the bone are intersected one by one, because the surfaces of two copies cross
-        # everywhere.
+        # The surfaces of two copies intersect at many locations, so the shifted copies of the bone are intersected one
+        # by one.
         within.status()
         within = within ^ about.translate(_DRAWN_IN_MM * way)
     return within
@@ -207,13 +211,13 @@ def grow_osteophytes(
     template : TemplateBone
         Template bone.
     margins : OsteophyteShapes
-        Tables of osteophyte locations and shapes.
+        Locations and dimensions of osteophytes.
     scale : float
-        Size of the bone relative to the template, dimensionless. Osteophyte sizes are actual sizes and do not scale
-        with it.
+        Size of the bone relative to the template, dimensionless. Osteophyte sizes are actual sizes and do not depend on
+        this scale.
     deform : callable
-        Deformation that is applied to the bone later; maps points (n, 3), in mm, to points (n, 3), in mm. Osteophytes
-        have their specified sizes after this deformation.
+        Deformation that is later applied to the bone. It maps points (n, 3), in mm, to points (n, 3), in mm.
+        Osteophytes have the specified sizes after this deformation.
 
     Returns
     -------
@@ -223,7 +227,7 @@ def grow_osteophytes(
     Raises
     ------
     InputError
-        One osteophyte hides the farthest point of another osteophyte.
+        If one osteophyte hides the farthest point of another osteophyte.
     """
     own = [osteophyte for osteophyte in osteophytes if osteophyte.bone == template.name]
     shapes = [
@@ -238,7 +242,7 @@ def grow_osteophytes(
         joined = bare.copy()
         for shape in shapes:
             close = shape.is_near(points)
-            # Each osteophyte is blended only with the bone; a blend with another osteophyte would move its tip.
+            # Each osteophyte is blended only with the bone. Blending it with another osteophyte would move its tip.
             with_it = smooth_union(bare[close], shape.compute_distance_mm(points[close]), shape.fillet_mm)
             joined[close] = np.minimum(joined[close], with_it)
         return joined
@@ -265,19 +269,20 @@ def _build_osteophyte(
     if osteophyte.is_central:
         return build_central_spike(margins.central, (direction, osteophyte.place), template, size_mm, deform)
     margin = margins.femur if template.name == "femur" else margins.tibia
-    # A very small marginal osteophyte becomes a spike, because its profile would be thinner than the edge length.
+    # A very small marginal osteophyte becomes a spike, because its profile would be thinner than the largest edge
+    # length of the mesh.
     if size_mm < _MAX_SPIKE_SIZE_MM and osteophyte.place == 0:
         return build_margin_spike(margin, direction, template.outer, size_mm, deform)
     return build_lip_osteophyte(osteophyte, size_mm, template, (margin, margins.lip), deform)
 
 
 def _require_tips_not_hidden(osteophytes: tuple[Osteophyte, ...], shapes: list[OsteophyteShape], bone: str) -> None:
-    """Raise InputError if the farthest point of one osteophyte is inside another osteophyte."""
+    """Raise InputError if one osteophyte hides the farthest point of another osteophyte."""
     for shape in shapes:
         for other in shapes:
             if other is not shape and float(other.compute_distance_mm(shape.farthest_point[None])[0]) < 0:
                 names = ", ".join(f"{one.site} {one.size_mm:g} mm at {one.place:g}" for one in osteophytes)
                 raise InputError(
-                    f"osteophytes of the {bone} must not hide the farthest point of another one, got {names}: make "
-                    "them smaller, or place them farther apart"
+                    f"osteophytes of the {bone} must not hide the farthest point of another osteophyte, got {names}: "
+                    "make them smaller, or place them farther apart"
                 )

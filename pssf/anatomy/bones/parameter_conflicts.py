@@ -1,4 +1,4 @@
-"""Parameter conflicts: find the knee parameters that may have caused the failed check of a solid."""
+"""Parameter conflicts: find the knee parameters that may have caused a failed check of a solid."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -11,11 +11,11 @@ from ...data.knees.field_definitions import FieldSpec, load_field_specs
 from ...model.knee import Knee
 from ...model.protocol import Posture
 
-# Specifications of the fields of a knee, by name.
+# Specification of each field of a knee, by field name.
 Laws = Mapping[str, FieldSpec]
 # Fields that change the size of bones.
 _SIZE_PARAMETERS = ("bone_scale", "stature_mm")
-# Fields that may cause each fault. Each key is a word in the error messages of the checks.
+# Fields that may cause each failed check. Each key is a word in the error message of the check.
 _PARAMETERS_BY_FAULT = {
     "cortex": ("limb_ap_mm", "fat_mm", *_SIZE_PARAMETERS),
     "trabecular bone": ("cortex_scale", "subchondral_plate", "notch_growth_mm", *_SIZE_PARAMETERS),
@@ -31,20 +31,21 @@ _PARAMETERS_BY_BONE = {
     "fibula": ("fibular_tip_mm",),
     "fabella": ("fabella_mm",),
 }
-# Smallest difference from the usual value at which an error message names a field, as a fraction of half its range.
+# Smallest difference between a field and its usual value at which an error message names the field, as a fraction of
+# half its range.
 _LEAST_SHARE = 0.25
-# Smallest size of an osteophyte that an error message names, mm.
+# Smallest osteophyte size at which an error message names the osteophyte, in mm.
 _LEAST_MM = 2.0
-# Smallest magnitude of a shape score that an error message names, in standard deviations.
+# Smallest magnitude of a shape score at which an error message names the score, in standard deviations.
 _LEAST_SD = 1.5
-# Largest number of fields that an error message names.
+# Largest number of fields in an error message.
 _MAX_NAMED = 5
-# Angle above which an error message names the flexion, degrees.
+# Flexion above which an error message names the flexion, in degrees.
 _MIN_FLEXION_DEG = 20.0
 
 
 class SolidConflictError(InputError):
-    """Error of a solid that extends beyond the solid around it, or that overlaps another solid.
+    """Error for a solid that extends beyond the solid around it or overlaps another solid.
 
     The error message names the solids; `explain_conflicts` adds the parameters of the knee.
     """
@@ -59,17 +60,17 @@ def explain_conflicts(knee: Knee, posture: Posture) -> Iterator[None]:
     knee : Knee
         Knee that is built inside the ``with`` block.
     posture : Posture
-        Posture in which the knee is built.
+        Posture of the knee.
 
     Yields
     ------
     None
-        Control to the ``with`` block.
+        Nothing; the ``with`` block runs.
 
     Raises
     ------
     InputError
-        A check of solids has failed. An error that already names parameters is raised unchanged.
+        If a check of solids fails. An error that already names parameters is raised unchanged.
     """
     try:
         yield
@@ -81,7 +82,7 @@ def explain_conflicts(knee: Knee, posture: Posture) -> Iterator[None]:
 
 
 def _format_conflict(knee: Knee, posture: Posture, text: str, laws: Laws) -> str:
-    """Format an error message that names the conflicting parameters and the failed check."""
+    """Return an error message that names the conflicting parameters and the failed check."""
     names = next(
         (fields for fault, fields in _PARAMETERS_BY_FAULT.items() if fault in text),
         sum(_PARAMETERS_BY_FAULT.values(), ()),
@@ -93,8 +94,8 @@ def _format_conflict(knee: Knee, posture: Posture, text: str, laws: Laws) -> str
     said = [
         _format_parameter(knee, usual, name, laws[name].unit) for name in blamed[::-1][:_MAX_NAMED]
     ] + _list_other_causes(knee, posture)
-    what = ", ".join(said) or "the parameters of this knee"
-    return f"{what} must be compatible, got a failed check ({text}): move one of them towards its usual value"
+    what = ", ".join(said) or "the parameters of the knee"
+    return f"{what} are incompatible: {text}; change one or more of these parameters towards their usual values"
 
 
 def _compute_departure(knee: Knee, usual: Knee, name: str, laws: Laws) -> float:
@@ -105,18 +106,18 @@ def _compute_departure(knee: Knee, usual: Knee, name: str, laws: Laws) -> float:
 
 
 def _format_parameter(knee: Knee, usual: Knee, name: str, unit: str) -> str:
-    """Format the name, the value and the usual value of a field."""
+    """Return a text with the name, the value and the usual value of a field."""
     value = f"{getattr(knee, name):.4g} {unit.replace('(relative)', '')}".strip()
     return f"{name} = {value} (usual {getattr(usual, name):.4g})"
 
 
 def _list_other_causes(knee: Knee, posture: Posture) -> list[str]:
-    """List other possible causes of a conflict: large osteophytes, a shape far from the mean, a flexed knee."""
+    """List other possible causes of a conflict: large osteophytes, extreme shape scores or a flexed knee."""
     large = [f"{one.site} {one.size_mm:.3g} mm" for one in knee.osteophytes if one.size_mm >= _LEAST_MM]
     far: Any = np.flatnonzero(np.abs(knee.shape) >= _LEAST_SD) if knee.shape else ()
     bent = knee.flexion_deg + posture.flexion_deg
     return [
         *([f"osteophytes ({', '.join(large)})"] if large else []),
-        *([f"shape (scores {', '.join(f'{knee.shape[n]:.3g}' for n in far)})"] if len(far) else []),
+        *([f"shape scores ({', '.join(f'{knee.shape[n]:.3g}' for n in far)})"] if len(far) else []),
         *([f"flexion of {bent:.3g} deg in this posture"] if bent > _MIN_FLEXION_DEG else []),
     ]

@@ -7,21 +7,22 @@ from ...core.checks import Array
 from .bone_shells import Bone
 from .parameter_conflicts import SolidConflictError
 
-# Gap between worn bones, mm: half the tolerance of the joint space width. In vivo, worn bones touch.
+# Gap between worn bones, in mm: half the tolerance of the JSW. In vivo, worn bones touch.
 CONTACT_MM = 5e-4
-# Largest depth by which a plateau or a spine may be worn, mm (assumed; the OARSI atlas gives no number). If all shape
-# scores are 3 SD, a tall spine with an osteophyte overlaps the wall of a narrow notch by 6 mm.
+# Largest depth of wear of a plateau or a spine, in mm (assumed; the OARSI atlas gives no number). If all shape scores
+# are 3 SD, a tall spine with an osteophyte overlaps the wall of a narrow notch by 6 mm.
 MAX_WEAR_MM = 7.0
 # Largest overlap volume that counts as a rounding error, mm3.
 ROUNDING_MM3 = 1e-6
-# Largest number of times that the gap is doubled. Shifted copies of the femur nearly coincide and may leave an overlap.
+# Largest number of times that the contact gap is doubled. Shifted copies of the femur nearly coincide, so their
+# subtraction may leave an overlap.
 _WIDENINGS = 3
-# Largest volume of detached components that are removed where a plateau is worn thin, mm3.
+# Largest volume of a detached component that is removed where wear has made the plateau thin, in mm3.
 _CRUMB_MM3 = 0.1
 
 
 def wear_tibia(tibia: Bone, femur: Manifold, plate_mm: float) -> Bone:
-    """Remove the part of the tibia that the femur overlaps, and keep the plate thickness under the worn surface.
+    """Remove the tibial bone that the femur overlaps, with an unchanged plate thickness below the worn surface.
 
     Parameters
     ----------
@@ -30,17 +31,17 @@ def wear_tibia(tibia: Bone, femur: Manifold, plate_mm: float) -> Bone:
     femur : Manifold
         Outer solid of the femur in the knee frame, in mm.
     plate_mm : float
-        Thickness of the subchondral bone plate under the worn surface, in mm.
+        Thickness of the subchondral bone plate below the worn surface, in mm.
 
     Returns
     -------
     Bone
-        The worn tibia; `tibia` itself if the bones do not overlap.
+        Worn tibia, or unchanged `tibia` if the bones do not overlap.
 
     Raises
     ------
     InputError
-        The wear would be deeper than `MAX_WEAR_MM`.
+        If the wear would be deeper than `MAX_WEAR_MM`.
     """
     wearing = _find_wearing_part(tibia.outer, femur, CONTACT_MM + plate_mm)
     if wearing is None:
@@ -53,7 +54,7 @@ def wear_tibia(tibia: Bone, femur: Manifold, plate_mm: float) -> Bone:
 
 
 def wear_outer_tibia(tibia: Manifold, femur: Manifold) -> Manifold:
-    """Remove the part of the outer tibia that the femur overlaps.
+    """Remove the volume of the outer tibia that the femur overlaps.
 
     Parameters
     ----------
@@ -65,19 +66,19 @@ def wear_outer_tibia(tibia: Manifold, femur: Manifold) -> Manifold:
     Returns
     -------
     Manifold
-        The worn solid, including small detached components; `tibia` itself if the bones do not overlap.
+        Worn solid, including small detached components, or unchanged `tibia` if the bones do not overlap.
 
     Raises
     ------
     InputError
-        The wear would be deeper than `MAX_WEAR_MM`.
+        If the wear would be deeper than `MAX_WEAR_MM`.
     """
     wearing = _find_wearing_part(tibia, femur, CONTACT_MM)
     return tibia if wearing is None else _wear_outer_solid(tibia, wearing)
 
 
 def crop_to_box(femur: Manifold, box_mm: Array, margin_mm: float) -> Manifold:
-    """Crop the femur to a box with a margin, because wear does not depend on the rest of it.
+    """Crop the femur to a box with a margin, because wear depends only on the bone within it.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ def crop_to_box(femur: Manifold, box_mm: Array, margin_mm: float) -> Manifold:
     Returns
     -------
     Manifold
-        The part of the femur inside the enlarged box.
+        Femur within the enlarged box.
     """
     low, high = box_mm[0] - margin_mm, box_mm[1] + margin_mm
     for axis, way in enumerate(np.eye(3)):
@@ -100,20 +101,20 @@ def crop_to_box(femur: Manifold, box_mm: Array, margin_mm: float) -> Manifold:
 
 
 def _find_wearing_part(tibia: Manifold, femur: Manifold, margin_mm: float) -> Manifold | None:
-    """Return the part of the femur within a margin of the overlap with the tibia, or None without overlap."""
+    """Return the femur within a margin around its overlap with the tibia, or None if the bones do not overlap."""
     shared = tibia ^ femur
     if shared.volume() <= ROUNDING_MM3:
         return None
     if (tibia ^ femur.translate((0.0, 0.0, MAX_WEAR_MM))).volume() > ROUNDING_MM3:
         raise SolidConflictError(
-            f"femur and tibia must overlap by at most {MAX_WEAR_MM:g} mm, the largest wear of a plateau, got more in "
-            f"a shared volume of {shared.volume():.3g} mm3: joint space, osteophytes or pose leave no clearance"
+            f"femur and tibia overlap by more than {MAX_WEAR_MM:g} mm, the largest wear of a plateau; the overlap has "
+            f"a volume of {shared.volume():.3g} mm3, because joint space, osteophytes or pose leave no clearance"
         )
     return crop_to_box(femur, np.array(shared.bounding_box()).reshape(2, 3), margin_mm)
 
 
 def _wear_outer_solid(tibia: Manifold, femur: Manifold) -> Manifold:
-    """Subtract the femur and the contact gap from a tibia, with a wider gap where rounding leaves an overlap."""
+    """Subtract the femur and the contact gap from a tibia. The gap is widened if rounding errors leave an overlap."""
     for clearance_mm in CONTACT_MM * 2.0 ** np.arange(_WIDENINGS + 1):
         worn = _subtract_femur(tibia, femur, clearance_mm)
         if (worn ^ femur).volume() <= ROUNDING_MM3:
@@ -122,8 +123,8 @@ def _wear_outer_solid(tibia: Manifold, femur: Manifold) -> Manifold:
 
 
 def _subtract_femur(solid: Manifold, femur: Manifold, clearance_mm: float) -> Manifold:
-    """Subtract the femur from a solid, with a clearance below and on all four sides of the femur."""
-    # The femur itself is subtracted too, because an edge of the femur may be thinner than the shift of the copies.
+    """Subtract the femur from a solid, with a clearance below the femur and on all four sides."""
+    # An edge of the femur may be thinner than the shift of its copies, so the femur is also subtracted without a shift.
     ways = clearance_mm * np.array([[0, 0, 0], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     return Manifold.batch_boolean([solid, *(femur.translate(way) for way in ways)], OpType.Subtract)
 

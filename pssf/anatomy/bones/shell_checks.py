@@ -14,11 +14,11 @@ from ..meshing.solids import build_bounding_box, extract_mesh
 from .bone_shells import Bone
 from .parameter_conflicts import SolidConflictError
 
-# Largest volume of trabecular bone outside its cortex that is repaired, mm3.
+# Largest volume of trabecular bone outside its cortex that is repaired, in mm3.
 _MENDED_MM3 = 10.0
-# Distance by which the surface is moved inwards in a repair, mm.
+# Distance by which a repair moves the trabecular surface inwards, in mm.
 _DRAWN_IN_MM = 0.1
-# Margin around the protruding trabecular bone within which the surface is moved, mm.
+# Margin around the protruding trabecular bone within which a repair moves the surface, in mm.
 _ABOUT_MM = 0.5
 # Largest volume of a protrusion or an overlap that counts as a rounding error, mm3.
 _ROUNDING_MM3 = 1e-6
@@ -37,12 +37,12 @@ def is_nested(part: Bone) -> bool:
     bool
         True if the trabecular bone is inside.
     """
-    # This test is several times faster than the Boolean difference of the two solids.
+    # Testing the meshes is several times faster than computing the Boolean difference of the two solids.
     return is_mesh_within(extract_mesh(part.inner), extract_mesh(part.outer))
 
 
 def repair_nesting(name: str, part: Bone) -> Bone:
-    """Move trabecular bone inwards where it protrudes from the outer surface of a thin, folded cortex.
+    """Move trabecular bone inwards where it protrudes from a thin, folded cortex.
 
     Parameters
     ----------
@@ -54,12 +54,12 @@ def repair_nesting(name: str, part: Bone) -> Bone:
     Returns
     -------
     Bone
-        The repaired bone; `part` itself if there is nothing to repair.
+        Repaired bone, or unchanged `part` if the trabecular bone is inside.
 
     Raises
     ------
     InputError
-        More than 10 mm3 of trabecular bone is outside the cortex, too much for a fold.
+        If more than 10 mm3 of trabecular bone is outside the cortex, which is too much for a fold.
     """
     outside = part.inner - part.outer
     outside_mm3 = outside.volume()
@@ -69,8 +69,8 @@ def repair_nesting(name: str, part: Bone) -> Bone:
         raise SolidConflictError(
             f"trabecular bone of the {name} must be inside the solid around it, got {outside_mm3:.3g} mm3 outside"
         )
-    # Only the bone around the protruding parts is copied, because the surfaces of whole copies cross everywhere and
-    # their intersection takes a second.
+    # Only the bone around the protrusions is copied. Complete copies intersect at many locations, so their intersection
+    # would take a second.
     pieces = outside.decompose()
     about = part.outer ^ _unite_boxes(pieces, _ABOUT_MM + 2 * _DRAWN_IN_MM)
     ways = [about.translate(tuple(way)) for way in _DRAWN_IN_MM * np.vstack((np.eye(3), -np.eye(3)))]
@@ -79,7 +79,7 @@ def repair_nesting(name: str, part: Bone) -> Bone:
 
 
 def _unite_boxes(pieces: list[Manifold], margin_mm: float) -> Manifold:
-    """Unite the bounding boxes of all connected components, enlarged by a margin."""
+    """Unite the bounding boxes of all connected components after enlarging each box by a margin."""
     return Manifold.batch_boolean([build_bounding_box(piece, margin_mm) for piece in pieces], OpType.Add)
 
 
@@ -89,14 +89,15 @@ def check_nesting(bones: Mapping[str, Bone], muscle: Manifold) -> None:
     Parameters
     ----------
     bones : Mapping of str to Bone
-        Solids of the bones by name, all in the frame of `muscle`, in mm.
+        Solids of each bone, by bone name, in the frame of `muscle`, in mm.
     muscle : Manifold
         Solid that encloses all bones.
 
     Raises
     ------
     InputError
-        A shell is partly outside, or two bones overlap. The message names the bones and the volume.
+        If a shell is partly outside the solid around it, or if two bones overlap. The message names the bones and the
+        volume.
     """
     for name, part in bones.items():
         shells = [("cortex", part.outer, muscle)]

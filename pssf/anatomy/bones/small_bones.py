@@ -28,37 +28,41 @@ from ..template.bone_builder import (
 )
 from .bone_shells import SHAFT_END_MM, Bone, space_ring_heights
 
-# Tolerance for removing triangles from straight shafts and from surfaces that trabeculae blur, mm.
+# Largest distance by which simplification moves the surface of straight shafts and of solids whose surfaces trabeculae
+# blur, in mm.
 _SIMPLIFY_TOLERANCE_MM = 0.02
-# Points per ring of the patella.
+# Number of points per ring of the patella.
 _PATELLA_COUNT = 64
 # Distance between two rings of the patella, mm.
 _PATELLA_STEP_MM = 1.25
-# Smallest vertical thickness of the cortex of the patella, mm.
+# Smallest vertical thickness of the patellar cortex, in mm.
 _DRAWN_IN_MM = 0.1
 # Vertical thickness of the cortex at the upper and lower end of the patella, mm.
 _END_CORTEX_MM = 0.4
-# Thickness of the subchondral bone plate of the fibula towards the tibia, mm.
+# Thickness of the subchondral bone plate of the fibula at the tibia, in mm.
 _JOINT_PLATE_MM = 0.7
 # Thickness of the cortex at the tip of the fibular head, mm.
 _TIP_CORTEX_MM = 0.3
-# Length of the fibular head, mm. The head is strongly curved, so its rings are closer together.
+# Length of the fibular head, in mm. The head is strongly curved, so the distance between its rings is smaller than in
+# the shaft.
 _HEAD_LENGTH_MM = 40.0
-# Margin around the fibula within which tibial bone is subtracted from the fibula, mm.
+# Tibial bone within this margin around the fibula is subtracted from the fibula, in mm.
 _NEAR_FIBULA_MM = 5.0
-# Height below which the fibula leans with the tibial shaft, mm at template size.
+# Height below which the fibula leans together with the tibial shaft, in mm at template size.
 _FIBULA_LEANS_BELOW_MM = -25.0
-# Height below which the femur may support the patella, mm.
+# Height below which the femur can support the patella, in mm.
 _FRONT_BELOW_MM = 90.0
-# Smallest anterior component of the normal of a supporting face, dimensionless; it includes the sides of the trochlea.
+# Smallest anterior component of the unit normal of a supporting face, dimensionless. The limit includes the sides of
+# the trochlea.
 _FACES_FRONT = 0.3
-# Width of the supporting surface beyond either edge of the patella, mm.
+# Width of the supporting surface beyond the medial and lateral edges of the patella, in mm.
 _BESIDE_MM = 6.0
-# Quantile of the gaps at all patellar points that equals the nominal gap to the femur, dimensionless.
+# Quantile of the gaps between patellar points and the femur that equals the nominal gap, dimensionless.
 _NEAR_SHARE = 0.1
-# Smallest gap of any patellar point, as a fraction of the nominal gap.
+# Smallest gap between a patellar point and the femur, as a fraction of the nominal gap.
 _LEAST_SHARE = 0.6
-# Fraction of the knee flexion that the patella does not follow (assumed). The patella flexes by about two thirds of it.
+# Fraction of the knee flexion that the patella does not follow (assumed). The patella therefore flexes by about two
+# thirds of the knee flexion.
 _PATELLAR_LAG_FRACTION = 0.35
 # Step of the downward search for the height of the patella, mm.
 _STEP_MM = 4.0
@@ -66,17 +70,17 @@ _STEP_MM = 4.0
 _HEIGHT_MM = 1e-3
 # Approximate number of points on the posterior surface of the patella that are compared with the femur.
 _PLACES = 500
-# Largest fraction of these points that may have no femur behind them.
+# Largest fraction of the compared patellar points that may have no femur behind them.
 _MOST_BESIDE = 0.9
 
 
 def build_fibula(knee: Knee, bone_parameters: BoneParameters, tibia: Manifold) -> Bone:
-    """Build the fibula and subtract the tibia from it with a gap.
+    """Build the fibula and subtract the tibia, with a gap, from it.
 
     Parameters
     ----------
     knee : Knee
-        Parameters of the knee; `fibular_tip_mm` gives the depth of the tip below the plateau.
+        Parameters of the knee; `fibular_tip_mm` is the depth of the tip below the plateau.
     bone_parameters : BoneParameters
         Parameters of the bones of the knee.
     tibia : Manifold
@@ -90,7 +94,7 @@ def build_fibula(knee: Knee, bone_parameters: BoneParameters, tibia: Manifold) -
     Raises
     ------
     InputError
-        A solid is not valid.
+        If a solid is not valid.
     """
     table, s = bone_parameters.shape.fibula, bone_parameters.scale
     sections = scale_sections(table.sections, s)
@@ -108,7 +112,7 @@ def build_fibula(knee: Knee, bone_parameters: BoneParameters, tibia: Manifold) -
         space_ring_heights(top_mm - _HEAD_LENGTH_MM, top_mm, 1.5),
     )
     heights = np.sort(np.concatenate((shaft[:-1], head, [top_mm - _TIP_CORTEX_MM])))
-    # The rings of both lofts have the same heights, so the inner loft is inside the outer loft between rings too.
+    # The rings of both lofts have the same heights, so the inner loft is inside the outer loft between the rings too.
     within = heights[(heights > heights[0] + 1.4) & (heights < heights[-1])]
     outer, inner = (
         loft_column(sections, inset, rings, "fibula", count=64).simplify(tolerance).translate((*sideways[:2], down))
@@ -121,10 +125,9 @@ def build_fibula(knee: Knee, bone_parameters: BoneParameters, tibia: Manifold) -
         (0.0, 0.0, -1.0), knee.fibular_tip_mm - 5.0
     )
     towards = np.array(table.faces) / np.linalg.norm(table.faces)
-    # Both lofts are simplified before the cut, because the sharp edge of the cut leaves no tolerance for
-    # simplification.
+    # Both lofts are simplified before the cut, because simplification would damage the sharp edge of the cut.
     return Bone(
-        # The tibia itself is subtracted too, because a tibial osteophyte may be thinner than the gap.
+        # The unshifted tibia is also subtracted, because a tibial osteophyte may be thinner than the gap.
         outer=require_valid_solid(outer - near.translate(-table.gap_to_tibia_mm * towards) - near, "fibula"),
         inner=require_valid_solid(
             inner - near.translate(-(table.gap_to_tibia_mm + _JOINT_PLATE_MM) * towards), "fibula marrow"
@@ -133,7 +136,7 @@ def build_fibula(knee: Knee, bone_parameters: BoneParameters, tibia: Manifold) -
 
 
 def build_patella(bone_parameters: BoneParameters) -> Bone:
-    """Build the patella around its own centre.
+    """Build the patella in its own frame.
 
     Parameters
     ----------
@@ -143,17 +146,17 @@ def build_patella(bone_parameters: BoneParameters) -> Bone:
     Returns
     -------
     Bone
-        Solids in the frame of the patella, with the origin at its centre, in mm.
+        Solids in the frame of the patella, whose origin is the centre of the patella, in mm.
 
     Raises
     ------
     InputError
-        A solid is not valid.
+        If a solid is not valid.
     """
     table, s = bone_parameters.shape.patella, bone_parameters.scale
     drawn_in = _make_patella_inset(table, make_thickness_profile(table.cortex, bone_parameters.cortex_scale))
     low, high = min(table.sections)[0], max(table.sections)[0]
-    # The rings of both lofts have the same heights, so the inner loft is inside the outer loft between rings too.
+    # The rings of both lofts have the same heights, so the inner loft is inside the outer loft between the rings too.
     within = space_ring_heights(low + _END_CORTEX_MM, high - _END_CORTEX_MM, _PATELLA_STEP_MM)
     outer = _loft_patella(table, np.zeros_like, np.array([low, *within, high]), "patella")
     inner = _loft_patella(table, drawn_in, within, "patella marrow")
@@ -172,10 +175,10 @@ def build_patella(bone_parameters: BoneParameters) -> Bone:
 
 
 def _make_patella_inset(table: PatellaShape, cortex: Callable[[Array], Array]) -> Callable[[Array], Array]:
-    """Make a function that maps heights (n,), in mm, to the inset (n,) of patellar sections, in mm.
+    """Make a function that maps heights (n,), in mm, to insets (n,) of patellar sections, in mm.
 
-    The inset equals the cortical thickness. It is larger where the outline is nearly horizontal, because a horizontal
-    inset leaves little cortex above and below the trabecular bone.
+    The inset is at least the cortical thickness. It is larger where the outline is nearly horizontal, because a
+    horizontal inset leaves little cortex above and below the trabecular bone there.
     """
     rows = scale_sections(table.sections, 1.0)
     rows = rows[np.argsort(rows[:, 0])]
@@ -185,8 +188,8 @@ def _make_patella_inset(table: PatellaShape, cortex: Callable[[Array], Array]) -
         here, taken_mm = outline(z_mm), cortex(z_mm)
         for way in (-_DRAWN_IN_MM, _DRAWN_IN_MM):
             change = outline(z_mm + way) - here
-            # Half widths and centres of the same axis are compared, so the two centre columns are taken in reverse
-            # order.
+            # Each half width must be compared with the centre on the same axis, so the two centre columns are read in
+            # reverse order.
             less_mm = np.abs(change[:, [3, 2]]) - change[:, :2]
             taken_mm = np.maximum(taken_mm, less_mm.max(axis=1))
         return taken_mm
@@ -195,15 +198,15 @@ def _make_patella_inset(table: PatellaShape, cortex: Callable[[Array], Array]) -
 
 
 def _loft_patella(table: PatellaShape, inset: Callable[[Array], Array], heights: Array, name: str) -> Manifold:
-    """Build a loft through the patellar sections, reduced by an inset."""
+    """Build a loft through the patellar sections, reduced in width by an inset."""
     return loft_column(scale_sections(table.sections, 1.0), inset, heights, name, 2.1, _PATELLA_COUNT)
 
 
 def place_patella(knee: Knee, bone_parameters: BoneParameters, patella: Manifold, femur: Manifold, pose: Pose) -> Array:
-    """Place the patella in front of the femur.
+    """Compute the position of the patella in front of the femur.
 
     The Insall-Salvati index determines the length of the patellar tendon. The cartilage of both bones fills the gap
-    between patella and femur, measured along the antero-posterior axis of the patella.
+    between patella and femur, which is measured along the antero-posterior axis of the patella.
 
     Parameters
     ----------
@@ -221,18 +224,18 @@ def place_patella(knee: Knee, bone_parameters: BoneParameters, patella: Manifold
     Returns
     -------
     (3, 4) float64 array
-        Transform from the frame of the patella to that of the femur: rotation and translation (mm).
+        Transform from the frame of the patella to the frame of the femur: rotation and translation (mm).
 
     Raises
     ------
     InputError
-        The patella would not rest on the femur.
+        If the patella would not rest on the femur.
     """
     table, s = bone_parameters.shape.patella, bone_parameters.scale
     tilt = rotation_matrix(2, -knee.patellar_tilt_deg)
     points = extract_mesh(patella).vertices @ tilt.T
     apex, tendon_mm = points[:, 2].argmin(), knee.insall_salvati * np.ptp(points[:, 2])
-    # The calculation uses a frame with the axes of the patella and the origin of the femur.
+    # Positions are in a frame with the axes of the patella and the origin of the femur.
     facing, to_leg = rotation_matrix(0, -_PATELLAR_LAG_FRACTION * pose.flexion_deg), pose.femur_to_tibia_transform()
     below = np.array(bone_parameters.shape.patellar_tendon.tuberosity) * s + [0.0, 0.0, table.tendon_end_mm * s]
     below = facing @ to_leg[:, :3].T @ (below - to_leg[:, 3])
@@ -246,19 +249,19 @@ def place_patella(knee: Knee, bone_parameters: BoneParameters, patella: Manifold
     behind = behind[:: max(1, len(behind) // _PLACES)]
 
     def depth_mm(height_mm: float) -> float:
-        """Compute the antero-posterior position of the patella at a height, mm."""
-        # The gap is nan where no femur is behind the patella. Where the gap is smallest, the cartilage is thinner.
+        """Compute the antero-posterior position of the patella at a height, in mm."""
+        # The gap is nan where no femur is behind the patella. The cartilage may be thinner where the gap is smallest.
         space = front((behind + np.array([across, 0.0, height_mm]))[:, [0, 2]]) - behind[:, 1]
         if np.isnan(space).mean() > _MOST_BESIDE:
             raise InputError(
-                f"flexion must keep the patella on the femur, got {pose.flexion_deg:g} deg with insall_salvati = "
-                f"{knee.insall_salvati:g}: reduce the flexion, or raise insall_salvati"
+                f"flexion must allow contact of patella and femur, got {pose.flexion_deg:g} deg with insall_salvati = "
+                f"{knee.insall_salvati:g}: reduce the flexion or increase insall_salvati"
             )
         near = float(np.nanquantile(space, _NEAR_SHARE))
         return min(near - table.gap_to_femur_mm, float(np.nanmin(space)) - table.gap_to_femur_mm * _LEAST_SHARE)
 
     def too_far_mm(height_mm: float) -> float:
-        """Compute by how much the distance from apex to tuberosity exceeds the length of the tendon, mm."""
+        """Compute the difference between the apex-tuberosity distance and the tendon length, in mm."""
         forward = points[apex, 1] + depth_mm(height_mm) - below[1]
         return float(np.hypot(forward, points[apex, 2] + height_mm - below[2]) - tendon_mm)
 
@@ -271,7 +274,7 @@ def place_patella(knee: Knee, bone_parameters: BoneParameters, patella: Manifold
 
 
 def _fit_femur_front(femur: Manifold, facing: Array, between_mm: Array) -> LinearNDInterpolator:
-    """Fit the anterior surface of the rotated femur as a function of x and z (n, 2) with values y (n,), mm.
+    """Fit the anterior surface of the rotated femur: y as a function of x and z, in mm.
 
     `between_mm` (2,) is the range of x in which the surface is fitted.
     """
@@ -291,7 +294,7 @@ def build_fabella(knee: Knee, bone_parameters: BoneParameters, femur: Manifold) 
     Parameters
     ----------
     knee : Knee
-        Parameters of the knee; `fabella_mm` gives the size.
+        Parameters of the knee; `fabella_mm` is the size of the fabella.
     bone_parameters : BoneParameters
         Parameters of the bones of the knee.
     femur : Manifold
@@ -300,9 +303,9 @@ def build_fabella(knee: Knee, bone_parameters: BoneParameters, femur: Manifold) 
     Returns
     -------
     fabella : Bone
-        Solids around the centre of the fabella, in mm.
+        Solids of the fabella in its own frame, with its centre as the origin, in mm.
     transform : (3, 4) float64 array
-        Transform into the frame of the femur: rotation and translation (mm).
+        Transform from the frame of the fabella to the frame of the femur: rotation and translation (mm).
     """
     table, s = bone_parameters.shape.fabella, bone_parameters.scale
     points = extract_mesh(femur).vertices / s

@@ -1,7 +1,7 @@
 """Labels of a radiograph that shows the knee in a lateral or axial view.
 
-JSW and contour landmarks exist only in frontal views. The labels in this module are points on the bones, including
-osteophytes. They are projected in every view:
+JSW and contour landmarks exist only in frontal views. The labels of lateral and axial views are projected points of the
+bones, including osteophytes:
 
 ``joint_centre``
     Origin of the knee frame: centre of the joint line between both plateaus.
@@ -14,8 +14,8 @@ osteophytes. They are projected in every view:
 ``patella_base``
     Point of the patella farthest from the apex.
 
-An axial view adds three points on the upper outline of the femur: ``trochlea_lateral`` and ``trochlea_medial``,
-the highest points on both sides, and ``sulcus``, the lowest point between them.
+An axial view adds three points on the upper outline of the femur. ``trochlea_lateral`` and ``trochlea_medial`` are the
+highest lateral and medial points, and ``sulcus`` is the lowest point between them.
 """
 
 import numpy as np
@@ -32,7 +32,8 @@ from ..outlines.projected_contours import compute_outline_rows
 from ..posture.knee_assembly import KneeAssembly
 from ..posture.plateau_margins import SIDE_SIGNS, find_plateau_margins
 
-# Largest distance of the trochlea from the centre, as a fraction of half the plateau width (assumed).
+# Largest medio-lateral distance of the trochlea from the centre of the knee, as a fraction of half the plateau width
+# (assumed).
 _TROCHLEA_FRACTION = 0.75
 
 
@@ -99,7 +100,7 @@ def find_bone_landmarks_mm(assembly: KneeAssembly, outer: dict[str, Mesh]) -> di
 
 
 def find_trochlea_px(assembly: KneeAssembly, femur: Mesh, view: View) -> dict[str, tuple[float, float]]:
-    """Find the highest points of the trochlea and the sulcus between them on an axial view.
+    """Find the medial and lateral highest points of the trochlea, and the sulcus between them, in an axial view.
 
     Parameters
     ----------

@@ -25,11 +25,11 @@ from ..posture.knee_assembly import KneeAssembly
 
 # Positions x at which JSW(x) is measured, as fractions of the femoral width from the medial edge (Neumann et al. 2009).
 # The femoral width corresponds to CFWDTH in the tables of the Osteoarthritis Initiative. It is measured between the
-# epicondyles, which osteophytes do not move (assumed). With this width, the fractions cover the range in which the
-# minimum JSW is searched.
+# epicondyles, because osteophytes do not change their positions (assumed). With this width, the fractions cover the
+# range in which the minimum JSW is searched.
 JSW_FRACTIONS = (0.15, 0.175, 0.2, 0.225, 0.25, 0.275, 0.3, 0.7, 0.725, 0.75, 0.775, 0.8, 0.825, 0.85, 0.875, 0.9)
-# Range in which JSW(x) is measured, in fractions of half the plateau width. It allows for femurs that overhang the edge
-# of the plateau.
+# Range in which JSW(x) is measured, as fractions of half the plateau width. The range includes the part of the femur
+# that overhangs the plateau edge.
 _JSW_FRACTION_RANGE = (0.2, 1.0)
 # Height range in which the edges of the condyles are searched, in mm at template size in the frame of the femur.
 _CONDYLES = (1.0, 12.0)
@@ -37,9 +37,10 @@ _CONDYLES = (1.0, 12.0)
 _EPICONDYLES = (22.0, 42.0)
 # Height range in which the edges of the plateau are searched, in mm at template size in the frame of the tibia.
 _PLATEAU = (-9.0, 1.0)
-# Smallest protrusion from the surface without osteophytes at which bone belongs to an osteophyte, in mm.
+# Smallest distance from the surface without osteophytes at which bone is assigned to an osteophyte, in mm.
 _MIN_OSTEOPHYTE_MM = 0.05
-# Joint space landmarks: the centre of each compartment, the mean of the two centres, and the ends of the minimum JSW.
+# Landmarks of the joint space: the centre of each compartment, the midpoint of the two centres, and the ends of the
+# minimum JSW.
 _JOINT_LANDMARKS = (
     "medial_joint_line", "lateral_joint_line", "joint_centre",
     "medial_jsw_femur", "medial_jsw_tibia", "lateral_jsw_femur", "lateral_jsw_tibia",
@@ -114,7 +115,8 @@ def build_osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mes
     Returns
     -------
     dict of str to Mesh
-        Closed surface per site in the knee frame, in mm. It contains the bone that protrudes by more than 0.05 mm.
+        Closed surface per site in the knee frame, in mm. The surface encloses only bone that protrudes by more than
+        0.05 mm.
     """
     build = assembly.bone_parameters
     bones = (
@@ -128,7 +130,7 @@ def build_osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mes
             continue
         bare = project_solid(mean.outer, mean.field, depth_mm=lambda points: np.full(len(points), -_MIN_OSTEOPHYTE_MM))
         # Both solids are moved before the subtraction. The cuts are therefore on the moved triangles, and the
-        # osteophyte stays within its bone.
+        # osteophyte stays inside its bone.
         outer, bare = (_warp_solid(solid, move) for solid in (grown.outer, bare))
         tips = move(np.array([shape.tip for shape in grown.shapes]))
         for site, added in _split_by_site(outer - bare, sites, tips).items():
@@ -137,15 +139,15 @@ def build_osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mes
 
 
 def _warp_solid(solid: Manifold, move: Callable[[Array], Array]) -> Manifold:
-    """Move the vertices of a solid by a function of points (n, 3), in mm."""
+    """Apply a function of points (n, 3), in mm, to the vertices of a solid."""
     return solid.warp_batch(lambda points: move(np.array(points)))
 
 
 def _split_by_site(added: Manifold, sites: list[str], tips: Array) -> dict[str, Manifold]:
-    """Split the bone added by osteophytes into one solid per site; each connected component belongs to the nearest tip.
+    """Split the bone added by osteophytes into one solid per site.
 
-    `tips` (n, 3) are the tips of the osteophytes at `sites`. A component that joins several sites, such as both tibial
-    spines, is cut halfway between their tips.
+    Each connected component is assigned to the nearest tip; `tips` (n, 3) are the tips of the osteophytes at `sites`. A
+    component that joins several sites, such as both tibial spines, is cut halfway between their tips.
     """
     pieces: dict[str, list[Manifold]] = {site: [] for site in sites}
     for piece in added.decompose():
@@ -160,7 +162,10 @@ def _split_by_site(added: Manifold, sites: list[str], tips: Array) -> dict[str, 
 
 
 def _trim_to_nearest_tip(piece: Manifold, tip: Array, others: Array) -> Manifold:
-    """Trim a connected component to the part that is nearer to `tip` (3,) than to the other tips (n, 3)."""
+    """Trim a connected component to the volume nearest to `tip` (3,).
+
+    The cuts are halfway between `tip` and the other tips (n, 3).
+    """
     for other in others:
         way = (tip - other) / np.linalg.norm(tip - other)
         piece = piece.trim_by_plane(way, way @ (tip + other) / 2)
@@ -170,7 +175,10 @@ def _trim_to_nearest_tip(piece: Manifold, tip: Array, others: Array) -> Manifold
 def _measure_gaps(
     knee: Knee, assembly: KneeAssembly, scene: Scene, view: View, ranges: Sequence[Pair] = (COMPARTMENT_RANGE,)
 ) -> list[tuple[Gap, Gap]]:
-    """Measure the medial and lateral joint space in a view, for each range of fractions of half the plateau width."""
+    """Measure the medial and lateral joint space in a view for several ranges of positions.
+
+    The ranges are fractions of half the plateau width.
+    """
     meshes = _select_outer_meshes(scene)
     femur, tibia = ((mesh.vertices, find_closed_mesh_edges(mesh.faces)) for mesh in meshes)
     medial, half, lean = _medial_sign(knee), assembly.bone_parameters.half_ml_mm, _lean_deg(knee, assembly)
@@ -191,13 +199,16 @@ def _select_outer_meshes(scene: Scene) -> tuple[Mesh, Mesh]:
 def _find_landmarks_on_contours(
     knee: Knee, assembly: KneeAssembly, scene: Scene, view: View
 ) -> dict[str, tuple[float, float]]:
-    """Find the sixteen contour landmarks, and add ``notch_top`` a second time under its older name ``notch``."""
+    """Find the sixteen contour landmarks.
+
+    ``notch_top`` is included a second time under its deprecated name ``notch``.
+    """
     spots = find_contour_landmarks(*_select_outer_meshes(scene), view, _medial_sign(knee), _lean_deg(knee, assembly))
     return {**spots, "notch": spots["notch_top"]}
 
 
 def _find_joint_line_landmarks(gaps: tuple[Gap, Gap], view: View, lean_deg: float) -> dict[str, tuple[float, float]]:
-    """Return the pixel positions of the landmarks of the joint space in both compartments."""
+    """Return the pixel positions of the joint space landmarks in both compartments."""
     lines = rotate_px(np.array([gap.middle_px() for gap in gaps]), view, lean_deg)
     narrowest = rotate_px(np.array([place for gap in gaps for place in gap.narrowest_px()]), view, lean_deg)
     places = (*lines, lines.mean(axis=0), *narrowest)
@@ -209,7 +220,7 @@ def _measure_jsw_at_mm(
 ) -> dict[float, float]:
     """Measure JSW(x) at fixed fractions of the femoral width from the medial epicondyle.
 
-    `edges` contains the epicondyles from `_find_widest_px`. `gaps` are the medial and lateral joint space.
+    `edges` contains the pixel positions of the epicondyles. `gaps` are the medial and lateral joint space.
     """
     epicondyles = np.array([edges["medial_epicondyle"], edges["lateral_epicondyle"]])
     medial, lateral = rotate_px(epicondyles, view, -lean_deg)[:, 1]
@@ -223,7 +234,7 @@ def _measure_jsw_at_mm(
 
 
 def _find_widest_px(knee: Knee, assembly: KneeAssembly, view: View) -> dict[str, tuple[float, float]]:
-    """Return row and column of the widest points of the bones without osteophytes."""
+    """Return the pixel positions (row, column) of the widest points of the bones without osteophytes."""
     return {name: _convert_to_pixel(seen) for name, seen, _ in _find_widest_vertices(knee, assembly, view)}
 
 
@@ -248,7 +259,7 @@ def find_widest_points_mm(knee: Knee, assembly: KneeAssembly, view: View) -> dic
 
 
 def _find_widest_vertices(knee: Knee, assembly: KneeAssembly, view: View) -> Iterator[tuple[str, Array, Array]]:
-    """Yield the name, the pixel position (2,) and the position (3,) in the knee frame, in mm, of each widest point."""
+    """For each widest point, yield the name, the pixel position (2,) and the position (3,) in the knee frame, in mm."""
     build, medial, lean = assembly.bone_parameters, _medial_sign(knee), _lean_deg(knee, assembly)
     femur, tibia = (extract_mesh(bone.outer) for bone in (build.template_femur, build.template_tibia))
     for side, sign in (("medial", +1), ("lateral", -1)):
@@ -267,7 +278,7 @@ def _find_widest_vertices(knee: Knee, assembly: KneeAssembly, view: View) -> Ite
 
 
 def _convert_to_pixel(position_px: Array) -> tuple[float, float]:
-    """Convert an array (2,) to a tuple of row and column."""
+    """Convert an array (2,) to a (row, column) tuple."""
     return (float(position_px[0]), float(position_px[1]))
 
 
@@ -277,5 +288,5 @@ def _lean_deg(knee: Knee, assembly: KneeAssembly) -> float:
 
 
 def _medial_sign(knee: Knee) -> int:
-    """Return +1 if medial is towards +x, else -1."""
+    """Return +1 if the medial side is towards +x, else -1."""
     return 1 if knee.side == "right" else -1

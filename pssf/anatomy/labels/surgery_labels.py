@@ -1,9 +1,9 @@
 """Labels of a knee after surgery, without labels that implants or resections make meaningless.
 
-A landmark is kept if the remaining bones give the same position as the intact bones. The JSW of the medial or lateral
-side is absent in a view if its contours have changed or an implant covers them. A side counts as replaced if surgery
-has changed the contours that define its JSW. The readings of a replaced side and the grade of the knee are absent in
-every view.
+A landmark remains if its positions on the bones before and after surgery are equal. The JSW of the medial or lateral
+compartment is absent in a view if its contours have changed or an implant covers them. A compartment counts as replaced
+if surgery has changed the contours that define its JSW. The OARSI grades of a replaced compartment and the KL grade of
+the knee are absent in every view.
 """
 
 import warnings
@@ -32,20 +32,20 @@ from ..surgery import SurgicalMethods
 from .radiograph_labels import find_widest_points_mm
 
 SIDES = ("medial", "lateral")
-# Largest difference on the detector between contours that count as equal, in pixels.
+# Largest difference between projected contours that are regarded as equal, in pixels.
 _TOLERANCE_PX = 1e-6
 # Edge length of a cube around a landmark, in mm. The landmark is absent if a surgical step intersects the cube.
 _LANDMARK_BOX_MM = 0.01
-# Letters that denote side and bone in the names of OARSI readings, such as XROSFM.
+# Letters that denote compartment and bone in the names of OARSI grades, such as XROSFM.
 _OARSI_LETTERS = {"medial": "M", "lateral": "L", "femur": "F", "tibia": "T"}
 
 
 class SurgeryNotice(UserWarning):
-    """Warning that labels are absent because implants or resections make them meaningless."""
+    """Warning for labels that are absent because implants or resections make them meaningless."""
 
 
 def compute_labels_after_surgery(built: SurgicalMethods, view: View) -> Truth:
-    """Compute the labels of a knee that remain valid after its surgery.
+    """Compute the labels of a knee that remain valid after surgery.
 
     Parameters
     ----------
@@ -57,17 +57,17 @@ def compute_labels_after_surgery(built: SurgicalMethods, view: View) -> Truth:
     Returns
     -------
     Truth
-        Labels. Labels that surgery makes meaningless are None or absent.
+        Labels. Labels that surgery makes meaningless are None or missing.
 
     Warns
     -----
     SurgeryNotice
-        If a JSW or the grade is absent.
+        If a JSW value or the grade is absent.
     """
     truth, cut = _compute_labels(built, built.bones, view), _find_cut_sites(built)
     try:
         altered = _compute_labels(built, built.remaining_bones, view)
-    except (ValueError, KeyError, IndexError):  # Too little bone remains for a contour.
+    except (ValueError, KeyError, IndexError):  # The remaining bone is too small for a contour.
         altered = replace(truth, landmarks_px={}, readings={}, jsw_at_mm={})
     replaced = find_replaced_sides(built)
     hidden = [side for side in find_lost_joint_spaces(built, view) if side not in replaced]
@@ -99,7 +99,7 @@ def compute_labels_after_surgery(built: SurgicalMethods, view: View) -> Truth:
 
 
 def find_replaced_sides(built: SurgicalMethods) -> list[str]:
-    """Find the sides on which surgery has changed the contours that define JSW.
+    """Find the compartments in which surgery has changed the contours that define JSW.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def find_replaced_sides(built: SurgicalMethods) -> list[str]:
     Returns
     -------
     list of str
-        ``"medial"``, ``"lateral"``, both or none.
+        ``"medial"``, ``"lateral"``, both or neither.
     """
     if not built.surgery:
         return []
@@ -121,7 +121,7 @@ def find_replaced_sides(built: SurgicalMethods) -> list[str]:
 
 
 def find_lost_joint_spaces(built: SurgicalMethods, view: View) -> list[str]:
-    """Find the sides whose JSW cannot be measured in a view because surgery has changed or covered the contours.
+    """Find the compartments whose JSW cannot be measured in a view because surgery has changed or covered the contours.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def find_lost_joint_spaces(built: SurgicalMethods, view: View) -> list[str]:
     Returns
     -------
     list of str
-        ``"medial"``, ``"lateral"``, both or none; always empty for lateral and axial views.
+        ``"medial"``, ``"lateral"``, both or neither; always empty for lateral and axial views.
     """
     if not built.surgery or not built.assembly.posture.is_frontal:
         return []
@@ -151,14 +151,14 @@ def find_lost_joint_spaces(built: SurgicalMethods, view: View) -> list[str]:
 
 
 def require_visible_bone(built: SurgicalMethods, sides: list[str], what: str) -> None:
-    """Raise an error if surgery has changed or covered the bones of a measurement.
+    """Raise an error if surgery has changed or covered bone that is needed for a measurement.
 
     Parameters
     ----------
     built : BuiltKnee
         Knee with its surgical steps.
     sides : list of str
-        Sides on which bones are changed or covered.
+        Compartments in which bone is changed or covered.
     what : str
         Name of the measured structure in the error message.
 
@@ -177,7 +177,7 @@ def require_visible_bone(built: SurgicalMethods, sides: list[str], what: str) ->
 
 @dataclass(frozen=True)
 class _BoneContours:
-    """Projected contours of femur and tibia of a built knee, for the given bones and view.
+    """Projected contours of the femur and tibia of a built knee, for specified bones and a view.
 
     If `in_leg_frame` is True, the leg is projected before it is rotated and mirrored.
     """
@@ -189,7 +189,7 @@ class _BoneContours:
 
     @property
     def medial_sign(self) -> int:
-        """+1 if medial is towards +x, else -1."""
+        """+1 if the medial side is towards +x, else -1."""
         return 1 if self.in_leg_frame or self.built.knee.side == "right" else -1
 
     @property
@@ -198,7 +198,7 @@ class _BoneContours:
         return self.built.assembly.pose.lean_deg * self.medial_sign
 
     def measure_side_gap(self, side: str, *, floor: bool = False) -> Gap:
-        """Measure the joint space of the medial or lateral side.
+        """Measure the joint space of the medial or lateral compartment.
 
         If `floor` is True, the gap extends to the floor of the plateau, as readers measure it.
         """
@@ -214,11 +214,11 @@ class _BoneContours:
         return measure_gap(_list_vertices_and_edges(femur), upper, self.view, sign, half, self.lean_deg)
 
     def has_same_gap(self, other: "_BoneContours", side: str) -> bool:
-        """Test whether the contours of two sets of bones are equal along the joint space of a side."""
+        """Test whether the joint space contours of a compartment are equal for two sets of bones."""
         for floor in {False, self.built.knee.jsw_definition == "read"}:
             try:
                 one, two = (contours.measure_side_gap(side, floor=floor) for contours in (self, other))
-            except (ValueError, IndexError):  # Too little bone remains for a contour.
+            except (ValueError, IndexError):  # The remaining bone is too small for a contour.
                 return False
             for first, second in ((one.femur_px, two.femur_px), (one.tibia_px, two.tibia_px)):
                 if not np.allclose(first, second, rtol=0, atol=_TOLERANCE_PX):
@@ -239,7 +239,7 @@ class _BoneContours:
 
 
 def _compute_labels(built: SurgicalMethods, bones: Mapping[str, Bone], view: View) -> Truth:
-    """Compute the labels of a knee whose bones are replaced by the given bones."""
+    """Compute the labels of a knee after replacing its bones by other bones."""
     outer = {name: built.assembly.orient_mesh(extract_mesh(bones[name].outer)) for name in ("femur", "tibia")}
     scene = Scene([Surface(mesh, "cortical_bone", "muscle", name) for name, mesh in outer.items()])
     return built.compute_labels(scene, dict(bones), view)
@@ -248,10 +248,11 @@ def _compute_labels(built: SurgicalMethods, bones: Mapping[str, Bone], view: Vie
 def _select_unchanged_landmarks(
     built: SurgicalMethods, truth: Truth, altered: Truth, view: View
 ) -> dict[str, tuple[float, float]]:
-    """Select the landmarks whose positions surgery has not changed."""
+    """Select the landmarks whose positions are the same before and after surgery."""
     gone = set()
     if built.assembly.posture.is_frontal:
-        # The widest points are found on bones before surgery, so their positions are tested against the surgical steps.
+        # The widest points are measured on the bones before surgery, so their positions are tested against the surgical
+        # steps.
         for name, place_mm in find_widest_points_mm(built.knee, built.assembly, view).items():
             about = Manifold.cube((_LANDMARK_BOX_MM,) * 3, True).translate(tuple(place_mm))
             if any(not (about ^ step.solid).is_empty() for step in built.surgery):
@@ -265,11 +266,14 @@ def _select_unchanged_landmarks(
 
 
 def _find_cut_sites(built: SurgicalMethods) -> set[str]:
-    """Find the osteophytes and cysts that surgery has cut, named ``<site>_osteophyte`` and ``<site>_cyst``."""
+    """Find the osteophytes and cysts that surgery has cut.
+
+    Their names are ``<site>_osteophyte`` and ``<site>_cyst``.
+    """
     cut = set()
     for kind, meshes in (("osteophyte", built.osteophyte_meshes()), ("cyst", built.cyst_meshes())):
         for site, mesh in meshes.items():
-            if not len(mesh.faces):  # The osteophyte does not protrude from its bone.
+            if not len(mesh.faces):  # The mesh of an osteophyte that does not protrude from its bone has no faces.
                 continue
             whole = build_solid(mesh.vertices, mesh.faces, f"{site}_{kind}")
             if any(not (whole ^ step.solid).is_empty() for step in built.surgery):
@@ -278,10 +282,11 @@ def _find_cut_sites(built: SurgicalMethods) -> set[str]:
 
 
 def _is_reading_lost(name: str, replaced: list[str], cut_sites: set[str]) -> bool:
-    """Test whether surgery makes a reading meaningless."""
+    """Test whether surgery makes an OARSI grade meaningless."""
     if name == "XRKL" and replaced:
         return True
-    # The last letter of a reading denotes the side: XROSFM grades the osteophytes of the medial femur.
+    # The last letter of the name of an OARSI grade denotes the compartment: XROSFM grades the osteophytes of the medial
+    # femur.
     of_side = {_OARSI_LETTERS[side] for side in replaced}
     if name.startswith("XR") and name != "XRKL" and name[-1] in of_side:
         return True
@@ -294,7 +299,7 @@ def _is_reading_lost(name: str, replaced: list[str], cut_sites: set[str]) -> boo
 
 
 def _is_unchanged(value: float, other: float | None) -> bool:
-    """Test whether both values exist and are equal within the tolerance."""
+    """Test whether two values exist and are equal within the tolerance."""
     return other is not None and bool(np.isclose(value, other, rtol=0, atol=_TOLERANCE_PX))
 
 
@@ -304,18 +309,20 @@ def _list_vertices_and_edges(mesh: Mesh) -> tuple[Array, Indices]:
 
 
 def _split_into_bodies(faces: Faces, count: int) -> list[Faces]:
-    """Split the faces (m, 3) of a mesh with `count` vertices by connected component."""
+    """Split the faces (m, 3) of a mesh with `count` vertices into connected components."""
     body, number = label_bodies(faces, count)
     return [faces[body[faces[:, 0]] == one] for one in range(number)]
 
 
 def _warn_absent_labels(replaced: list[str], hidden: list[str]) -> None:
-    """Warn of labels that are absent on replaced sides and on sides that an implant covers."""
+    """Warn about labels that are absent in replaced compartments and in compartments that an implant covers."""
     if replaced:
         sides = f"the {' and '.join(replaced)} joint contours"
-        message = f"surgery replaces {sides}; the labels have no grade, and no JSW or OARSI readings of these sides"
+        message = f"surgery replaces {sides}; their JSW and OARSI grades and the KL grade are absent from the labels"
         warnings.warn(f"{message}; use knee.jsw_{replaced[0]}_mm for the specified JSW", SurgeryNotice, stacklevel=4)
     if hidden:
         what = " and ".join(hidden)
         message = f"an implant covers the {what} joint space in this view; the labels have no JSW of this joint space"
-        warnings.warn(f"{message}; move the implant or change the view to measure it", SurgeryNotice, stacklevel=4)
+        warnings.warn(
+            f"{message}; to measure the JSW, move the implant or change the view", SurgeryNotice, stacklevel=4
+        )

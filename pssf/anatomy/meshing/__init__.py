@@ -1,1 +1,1 @@
-"""Closed triangle meshes and solids: implicit shapes, lofts, remeshing, noise fields."""
+"""Meshing: closed triangle meshes and solids from implicit shapes, lofts, remeshing and noise fields."""

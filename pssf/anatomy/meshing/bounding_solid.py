@@ -10,11 +10,11 @@ from ...data.table_records import Rows
 from ...geometry.mesh import Indices, Mesh
 from .solids import loft
 
-# Number of directions in which the extent of a bone is measured; it is also the number of corners per ring.
+# Number of directions in which the extent of a bone is measured. Each ring has the same number of corners.
 _DIRECTIONS = 16
 # Largest height of a band between two rings, mm.
 _STEP_MM = 5.0
-# Size of the ring that rounds off either end, as a fraction of the ring next to it.
+# Size of the ring that closes either end, as a fraction of the neighbouring ring.
 _END_FRACTION = 0.5
 
 
@@ -24,9 +24,9 @@ def build_envelope(meshes: list[Mesh], margin_mm: Rows, name: str, max_height_mm
     Parameters
     ----------
     meshes : list of Mesh
-        Closed surfaces to enclose, vertices in mm, z along the shafts.
+        Closed surfaces to enclose, with vertices in mm and z along the shafts.
     margin_mm : rows of (height, margin)
-        Distance that the envelope keeps from the meshes, in mm, at heights in mm. Values between two heights are
+        Smallest distance between the envelope and the meshes, in mm, at heights in mm. Values between two heights are
         interpolated.
     name : str
         Name of the solid in error messages.
@@ -41,12 +41,12 @@ def build_envelope(meshes: list[Mesh], margin_mm: Rows, name: str, max_height_mm
     Raises
     ------
     InputError
-        The loft is not a valid solid.
+        If the loft is not a valid solid.
 
     Notes
     -----
     The heights are divided into bands of at most 5 mm. Every face that intersects a band is inside the rings at both
-    ends of this band. The walls between two rings are planar, so the envelope encloses the face between the rings too.
+    ends of this band. The walls between two rings are planar, so the envelope also encloses the face between the rings.
     Concavities are filled.
     """
     low = max(-max_height_mm, min(mesh.vertices[:, 2].min() for mesh in meshes))
@@ -66,7 +66,7 @@ def build_envelope(meshes: list[Mesh], margin_mm: Rows, name: str, max_height_mm
 
 
 def _close_ends(rings: Array, margins: Array) -> Array:
-    """Add a smaller ring beyond each end of the rings (levels, directions, 3), at a distance of one margin."""
+    """Add a smaller ring beyond the first and the last ring of (levels, directions, 3), at a distance of one margin."""
     ends = []
     for ring, up in ((rings[0], -margins[0]), (rings[-1], margins[-1])):
         middle = ring.mean(axis=0)
@@ -75,13 +75,13 @@ def _close_ends(rings: Array, margins: Array) -> Array:
 
 
 def _compute_supports(mesh: Mesh, levels: Array, normals: Array) -> Array:
-    """Compute the extent of the faces of each band in each direction, mm.
+    """Compute the extent of the faces of each band in each direction, in mm.
 
     The result (bands, directions) is -inf where a band contains no face.
     """
     heights = mesh.vertices[mesh.faces, 2]
     lowest, highest = heights.min(axis=1), heights.max(axis=1)
-    # A face that ends exactly on a level belongs to the bands above and below this level.
+    # A face that ends exactly at a level belongs to the bands above and below this level.
     first = np.searchsorted(levels, lowest, side="left") - 1
     last = np.searchsorted(levels, highest, side="right") - 1
     reach = np.ascontiguousarray(mesh.vertices[:, :2] @ normals.T)
@@ -92,7 +92,7 @@ def _compute_supports(mesh: Mesh, levels: Array, normals: Array) -> Array:
 
 @kernel()
 def _raise_supports(supports: Array, faces: Indices, reach: Array, first: Indices, last: Indices) -> None:
-    """Raise the extents (bands, directions) to the extent of each face in all bands that the face intersects.
+    """Increase the extents (bands, directions) to include each face in all bands that it intersects.
 
     `faces` (m, 3) are vertex numbers. `reach` (vertices, directions) is the extent of each vertex, in mm. `first` and
     `last` (m,) are the lowest and the highest band of each face.

@@ -1,7 +1,9 @@
-"""Implicit shapes: approximate signed distance fields (mm, negative inside), blended, and projection onto them.
+"""Implicit shapes: blended approximate signed distance fields, and projection onto their surfaces.
 
-Boolean operations on solids (CSG) give the right topology, but leave sharp creases. In a field, the same parts are
-blended with fillets. Projection moves the vertices of the solid onto the zero level set of this field.
+Distances are in mm, negative inside.
+
+Boolean operations on solids (CSG) give the right topology but leave sharp creases. A distance field blends the same
+components with fillets. Projection moves the vertices of the solid onto the zero level set of the field.
 """
 
 from collections.abc import Callable
@@ -13,14 +15,14 @@ from scipy.interpolate import PchipInterpolator
 from ...core.checks import Array
 from ...data.table_records import Triple
 
-# A distance field: maps points (n, 3), in mm, to values (n,), in mm.
+# A distance field maps points (n, 3), in mm, to signed distances (n,), in mm.
 ScalarField = Callable[[Array], Array]
 
-# Step of the finite differences for the gradient, mm: fields are smooth over this length, and float64 resolves it.
+# Finite-difference step of the gradient, in mm. Fields are smooth over this length, and float64 resolves it.
 _STEP_MM = 0.01
-# Longest step of one Newton iteration, mm.
+# Largest displacement per Newton iteration, in mm.
 _MOST_MM = 1.5
-# The gradient is evaluated again if a vertex has moved farther than this in the last iteration, mm.
+# Largest displacement of a vertex in the last iteration for which the gradient is reused, in mm.
 _NEAR_MM = 0.05
 
 
@@ -71,7 +73,7 @@ def smooth_difference(one: Array, other: Array, radius_mm: float) -> Array:
     Parameters
     ----------
     one : (n,) float64 array, mm
-        Values of the field to keep.
+        Values of the field from which the other field is subtracted.
     other : (n,) float64 array, mm
         Values of the field to subtract.
     radius_mm : float
@@ -147,14 +149,15 @@ def lengths(vectors: Array) -> Array:
 class ColumnField:
     """Distance field of a column with superelliptic cross-sections, interpolated along its height.
 
-    Above the highest section and below the lowest one, the column continues with a constant cross-section.
+    Above the highest section and below the lowest section, the column continues with a constant cross-section.
 
     Parameters
     ----------
     sections : (n, 5) float64 array, mm
         One row per section, in any order: height z, half width ML, half width AP, centre y, centre x.
     power : float
-        Exponent of the superellipse, dimensionless; 2 is an ellipse, larger values are squarer.
+        Exponent of the superellipse, dimensionless. The exponent 2 gives an ellipse; larger exponents give squarer
+        sections.
     """
 
     def __init__(self, sections: Array, power: float) -> None:
@@ -171,7 +174,7 @@ class ColumnField:
         norm = (u**power + v**power) ** (1 / power)
         way = np.maximum(norm, 1e-9)
         slope = np.hypot((u / way) ** (power - 1) / half_x, (v / way) ** (power - 1) / half_y)
-        # On the column axis, the direction is undefined; the nearest wall is at the smaller half width.
+        # On the column axis, the direction is undefined, so the distance to the nearest wall is the smaller half width.
         return (norm - 1) / np.where(norm > 1e-9, slope, 1 / np.minimum(half_x, half_y))
 
 
@@ -181,7 +184,7 @@ def evaluate_with_gradient(field: ScalarField, points: Array) -> tuple[Array, Ar
     Parameters
     ----------
     field : callable
-        Maps points (n, 3), in mm, to values (n,), in mm.
+        Function that maps points (n, 3), in mm, to field values (n,), in mm.
     points : (n, 3) float64 array, mm
         Points to evaluate.
 
@@ -194,8 +197,8 @@ def evaluate_with_gradient(field: ScalarField, points: Array) -> tuple[Array, Ar
 
     Notes
     -----
-    The field is called once for all four sets of points. For the few hundred points around an osteophyte, the overhead
-    per numpy call dominates.
+    One call evaluates the field at all four sets of points, because the overhead per numpy call dominates for the few
+    hundred points around an osteophyte.
     """
     shifts = _STEP_MM * np.vstack((np.zeros(3), np.eye(3)))
     value, *beside = field((points + shifts[:, None]).reshape(-1, 3)).reshape(4, -1)
@@ -210,18 +213,19 @@ def project_solid(
     Parameters
     ----------
     solid : Manifold
-        Solid whose vertices are moved; its topology stays the same.
+        Solid whose vertices are moved. Its topology does not change.
     field : callable
-        Distance field; maps points (n, 3), in mm, to signed distances (n,), in mm.
+        Distance field. It maps points (n, 3), in mm, to signed distances (n,), in mm.
     depth_mm : callable or None
-        Maps points (n, 3), in mm, to required depths (n,) below the surface, in mm. None means 0 everywhere.
+        Function that maps points (n, 3), in mm, to required depths (n,) below the surface, in mm. None means a depth of
+        0.
     steps : int
         Number of Newton iterations.
 
     Returns
     -------
     Manifold
-        The solid with moved vertices.
+        Solid with moved vertices.
     """
     return solid.warp_batch(lambda points: project_to_surface(np.array(points), field, depth_mm, steps))
 
@@ -234,9 +238,10 @@ def project_to_surface(places: Array, field: ScalarField, depth_mm: ScalarField 
     places : (n, 3) float64 array, mm
         Points to move.
     field : callable
-        Distance field; maps points (n, 3), in mm, to signed distances (n,), in mm.
+        Distance field. It maps points (n, 3), in mm, to signed distances (n,), in mm.
     depth_mm : callable or None
-        Maps points (n, 3), in mm, to required depths (n,) below the surface, in mm. None means 0 everywhere.
+        Function that maps points (n, 3), in mm, to required depths (n,) below the surface, in mm. None means a depth of
+        0.
     steps : int
         Number of Newton iterations.
 
@@ -247,7 +252,7 @@ def project_to_surface(places: Array, field: ScalarField, depth_mm: ScalarField 
     """
     slope, moved_mm = np.empty(0), np.inf
     for _ in range(steps):
-        # The gradient costs three more evaluations of the field; it stays valid while the points hardly move.
+        # The gradient costs three more evaluations of the field, so it is reused while the points hardly move.
         if moved_mm > _NEAR_MM:
             value, slope = evaluate_with_gradient(field, places)
         else:
@@ -256,6 +261,6 @@ def project_to_surface(places: Array, field: ScalarField, depth_mm: ScalarField 
         step = -miss[:, None] * slope / np.maximum(squared_lengths(slope), 0.05)[:, None]
         length = lengths(step)
         moved_mm = float(length.max(initial=0.0))
-        # In a blended region, the gradient is small, so an unlimited step would move a point too far.
+        # The gradient is small in a blended region, so an unlimited step would move a point too far.
         places = places + step * np.minimum(1.0, _MOST_MM / np.maximum(length, 1e-12))[:, None]
     return places

@@ -23,37 +23,37 @@ from .solids import (
     split_selected_edges,
 )
 
-# Maps vertices (n, 3), in mm, to booleans (n,).
+# A vertex selector maps vertices (n, 3), in mm, to booleans (n,).
 VertexSelector = Callable[[Array], NDArray[np.bool_]]
 
-# Number of smoothing rounds for the mesh of a whole bone.
+# Number of smoothing iterations for the mesh of an entire bone.
 _ROUNDS = 6
-# Largest number of edge-splitting rounds for the mesh of a whole bone.
+# Largest number of times that the edges of an entire bone are split.
 _SPLITS = 4
-# Distance from z = 0 at which the shaft of a whole bone begins, mm.
+# Distance from z = 0 at which the shaft begins in the mesh of an entire bone, in mm.
 _SHAFT_FROM_MM = 70.0
-# Number of vertex rings around the movable vertices that may also move while inverted faces are flattened.
+# Number of vertex rings around the movable vertices in which vertices may also move while inverted faces are flattened.
 _BORDER_RINGS = 8
 # Largest distance from z = 0 at which faces are repaired, mm. Shafts are cut off at a smaller distance.
 _USED_MM = 200.0
-# Number of attempts to flatten inverted faces, each with a wider neighbourhood.
+# Number of attempts to flatten inverted faces. Each attempt uses a wider neighbourhood.
 _STARTS = 5
-# Number of rounds per attempt.
+# Number of rounds per attempt to flatten inverted faces.
 _TURNS = 5
-# Number of smoothing iterations per round.
+# Number of smoothing iterations per round while inverted faces are flattened.
 _FLATTENINGS = 10
-# Radius of the neighbourhood of a tip, mm.
+# Radius of the neighbourhood of an osteophyte tip, in mm.
 _TIP_MM = 4.0
-# Largest distance of an edge midpoint from the field surface near a tip, mm.
+# Largest distance of an edge midpoint from the field surface near an osteophyte tip, in mm.
 _TIP_TOLERANCE_MM = 0.02
-# Largest number of edge-splitting rounds near a tip.
+# Largest number of times that edges near an osteophyte tip are split.
 _TIP_SPLITS = 3
-# Smallest distance from the nearest triangle at which a tip is inserted as a vertex, mm.
+# Smallest distance between an osteophyte tip and the nearest triangle at which the tip is inserted as a vertex, in mm.
 _CUT_MM = 1e-4
 
 
 def refine_bone(solid: Manifold, edge_mm: float, shaft_from_mm: float) -> Manifold:
-    """Refine a solid to a maximum edge length, and the shaft to four times this edge length along z.
+    """Refine a solid to a maximum edge length; in the shaft, edges along z may be four times as long.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def refine_bone(solid: Manifold, edge_mm: float, shaft_from_mm: float) -> Manifo
     Returns
     -------
     Manifold
-        The refined solid.
+        Refined solid.
     """
 
     def pressed(factor: float) -> Callable[[Array], Array]:
@@ -86,14 +86,14 @@ def refine_bone(solid: Manifold, edge_mm: float, shaft_from_mm: float) -> Manifo
 def mesh_bone(
     csg_solid: Manifold, field: ScalarField, edge_mm: float, tolerances_mm: Sequence[float]
 ) -> list[Manifold]:
-    """Mesh a bone on its distance field once per tolerance, with finer triangles where the bone is curved.
+    """Mesh a bone on its distance field once per tolerance, with smaller triangles where the bone is curved.
 
     Parameters
     ----------
     csg_solid : Manifold
-        The same bone as a Boolean combination of parts, with sharp creases.
+        The same bone as a Boolean combination of solids, with sharp creases.
     field : callable
-        Distance field of the bone: points (n, 3), in mm, to values (n,), in mm.
+        Distance field of the bone. It maps points (n, 3), in mm, to signed distances (n,), in mm.
     edge_mm : float
         Maximum edge length away from the shaft, in mm.
     tolerances_mm : sequence of float
@@ -107,13 +107,13 @@ def mesh_bone(
     Raises
     ------
     InputError
-        A mesh is not a valid solid.
+        If a mesh is not a valid solid.
     """
     even = build_solid(
         *laplacian_smooth(extract_mesh(refine_bone(csg_solid, edge_mm, _SHAFT_FROM_MM)), field, _ROUNDS),
         "smoothed bone",
     )
-    # Simplification removes about a tenth of the triangles, all in flat regions.
+    # Simplification removes about a tenth of the triangles, all of which are in flat regions.
     return [
         refine_to_tolerance(even, field, tolerance_mm, _SPLITS).simplify(0.4 * tolerance_mm)
         for tolerance_mm in tolerances_mm
@@ -127,29 +127,30 @@ def laplacian_smooth(
     select_movable: VertexSelector | None = None,
     tips: Sequence[Array] = (),
 ) -> Mesh:
-    """Move a closed mesh onto a field surface, space its vertices evenly and remove slivers left by CSG.
+    """Move a closed mesh onto a field surface, space its vertices evenly and remove slivers that CSG left.
 
     Parameters
     ----------
     mesh : Mesh
-        Closed mesh near the surface of the field, vertices (n, 3) in mm.
+        Closed mesh near the field surface, with vertices (n, 3) in mm.
     field : callable
-        Distance field; maps points (n, 3), in mm, to signed distances (n,), in mm.
+        Distance field. It maps points (n, 3), in mm, to signed distances (n,), in mm.
     rounds : int
-        Number of smoothing rounds.
+        Number of smoothing iterations.
     select_movable : callable or None
-        Maps vertices (n, 3) to booleans (n,): True where a vertex may move. None means that all vertices may move.
+        Function that maps vertices (n, 3), in mm, to booleans (n,): True where a vertex may move. None means that all
+        vertices may move.
     tips : sequence of (3,) float64 array
-        Points of the field surface, in mm, that a coarse mesh would cut off. A vertex is inserted at each tip.
+        Points on the field surface that a coarse mesh would cut off, in mm. A vertex is inserted at each tip.
 
     Returns
     -------
     Mesh
-        The smoothed mesh. The original vertices keep their order; new ones follow.
+        Smoothed mesh. The original vertices keep their order, and new vertices follow.
     """
     all_places, all_faces = np.array(mesh.vertices), np.asarray(mesh.faces)
     may_move = np.ones(len(all_places), np.bool_) if select_movable is None else select_movable(all_places)
-    # Flattening inverted faces at the border also moves vertices beyond the border. The rest of the bone stays
+    # Flattening inverted faces at the border also moves vertices beyond the border. Vertices farther away stay
     # unchanged.
     with_border = dilate_rings(may_move, all_faces, _BORDER_RINGS)
     touched = with_border[all_faces].any(axis=1)
@@ -170,7 +171,7 @@ def laplacian_smooth(
 
 
 def build_neighbour_averaging(faces: Indices, count: int) -> csr_array:
-    """Build the sparse matrix that averages vertex values over the neighbours of each vertex.
+    """Build the sparse matrix that averages vertex values over neighbouring vertices.
 
     Parameters
     ----------
@@ -182,7 +183,7 @@ def build_neighbour_averaging(faces: Indices, count: int) -> csr_array:
     Returns
     -------
     (count, count) csr_array
-        Matrix that maps vertex values to the mean value of the vertices that share an edge with each vertex.
+        Matrix that maps vertex values to the mean value over the vertices that are connected to each vertex by an edge.
     """
     ends = np.vstack((faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]))
     beside = coo_array((np.ones(len(ends)), ends.T), shape=(count, count)).tocsr()
@@ -190,7 +191,7 @@ def build_neighbour_averaging(faces: Indices, count: int) -> csr_array:
 
 
 def _insert_tips(places: Array, faces: Indices, field: ScalarField, tips: Sequence[Array]) -> tuple[Array, Indices]:
-    """Insert tips of the field surface that the mesh cuts off, and return the new vertices and faces.
+    """Insert tips that the mesh cuts off as vertices, and return the new vertices and faces.
 
     Edges near these tips are split first. The triangle below each tip then gets a vertex at the tip.
     """
@@ -221,7 +222,7 @@ def _find_nearest_face(places: Array, faces: Indices, tip: Array) -> tuple[int, 
 
 def _compute_triangle_distances_mm(triangles: Array, point: Array) -> Array:
     """Compute the distances (n,) of a point (3,) from triangles (n, 3, 3), mm."""
-    # trimesh offers this function too, but importing trimesh takes a quarter of a second.
+    # trimesh provides the same function, but importing trimesh takes a quarter of a second.
     sides, away = np.roll(triangles, -1, axis=1) - triangles, point - triangles
     along = np.clip((away * sides).sum(axis=2) / np.maximum((sides**2).sum(axis=2), 1e-300), 0.0, 1.0)
     beside = np.sqrt(((away - along[..., None] * sides) ** 2).sum(axis=2)).min(axis=1)
@@ -245,11 +246,11 @@ def _fix_inverted_faces(
 ) -> tuple[Array, Indices]:
     """Flatten faces that point inwards: flip edges of slivers, then smooth around the remaining inverted faces.
 
-    Edges are flipped first. Each attempt then smooths a patch around the inverted faces and widens the patch in every
-    round. Vertices in a narrow patch around a tip have no space to move. The vertices with the fewest inverted faces
-    are kept, and the next attempt starts from these vertices with a wider patch. Finally, edges are flipped again.
-    `movable` (n,) marks vertices that may move. `has_moved` (n,) marks vertices whose faces may be inverted; None means
-    the movable vertices.
+    Each attempt smooths a patch around the inverted faces and widens the patch in every round. Vertices in a narrow
+    patch around a tip have no space to move. The vertices with the fewest inverted faces are therefore kept, and the
+    next attempt starts from these vertices with a wider patch. Finally, edges are flipped again. `movable` (n,) marks
+    vertices that may move. `has_moved` (n,) marks vertices whose faces may be inverted; None means the movable
+    vertices.
     """
     best, faces, fewest, used = _repair_slivers(places, faces, movable, field, has_moved)
     if not len(fewest):
@@ -264,7 +265,8 @@ def _fix_inverted_faces(
             around[folded] = True
             around = movable & dilate_rings(around, faces, rings + turn)
             laid[around] = _relax_around_fold(laid, around, neighbour_mean_matrix[around], field)
-            suspect = used[around[used].any(axis=1)]  # All other faces point outwards and have not moved.
+            # Faces without a moved vertex still point outwards, so only the other faces are tested.
+            suspect = used[around[used].any(axis=1)]
             folded = suspect[_is_facing_inwards(laid[suspect], field)]
             if len(folded) < len(fewest):
                 best, fewest = laid.copy(), folded
@@ -278,7 +280,7 @@ def _repair_slivers(
     field: ScalarField,
     has_moved: NDArray[np.bool_] | None = None,
 ) -> tuple[Array, Indices, Indices, Indices]:
-    """Flip edges of inverted slivers; return vertices, all faces, faces still inverted and candidate faces.
+    """Flip edges of inverted slivers, and return vertices, all faces, remaining inverted faces and candidate faces.
 
     Inverted faces and candidate faces have at least one movable corner.
     """
@@ -288,7 +290,8 @@ def _repair_slivers(
     if not len(folded):
         return places, faces, folded, used
     faces, folded = _flip_edges(places, faces, folded, field)
-    # A corner shared by only three triangles moves to the mean of the other corners, where no triangle can be inverted.
+    # A corner of only three triangles moves to the mean of the neighbouring corners, where none of the three triangles
+    # can be inverted.
     lonely = [corner for corner in np.unique(folded) if movable[corner] and (faces == corner).sum() == 3]
     places = places.copy()
     for corner in lonely:
@@ -303,7 +306,7 @@ def _repair_slivers(
 
 
 def _select_movable_faces(places: Array, faces: Indices, movable: NDArray[np.bool_]) -> Indices:
-    """Select the faces with a movable corner, except those on the part of the shaft that is cut off."""
+    """Select the faces with a movable corner, except those on the portion of the shaft that is later cut off."""
     return faces[movable[faces].any(axis=1) & (np.abs(places[faces, 2]) < _USED_MM).all(axis=1)]
 
 
@@ -313,14 +316,15 @@ def _flip_edges(places: Array, faces: Indices, folded: Indices, field: ScalarFie
     Return all faces and the faces that stay inverted.
     """
     all_faces, mended = faces.copy(), np.zeros(len(folded), np.bool_)
-    # Only faces that share a corner with an inverted face can change.
+    # Only faces that have a corner in common with an inverted face can change.
     touched = np.zeros(len(places), np.bool_)
     touched[folded] = True
     about = touched[faces].any(axis=1)
     faces = faces[about]
     for number, corners in enumerate(folded):
         still = np.flatnonzero((faces == corners).all(axis=1))
-        mended[number] = not len(still)  # A face is missing if it was changed as the neighbour of another face.
+        # An inverted face is absent if it was changed as the neighbour of another inverted face.
+        mended[number] = not len(still)
         if mended[number]:
             continue
         mine = int(still[0])
@@ -343,7 +347,7 @@ def _flip_edges(places: Array, faces: Indices, folded: Indices, field: ScalarFie
 def _relax_around_fold(
     places: Array, around: NDArray[np.bool_], neighbour_mean_matrix: csr_array, field: ScalarField
 ) -> Array:
-    """Distribute the selected vertices evenly over the field surface and return their positions, mm."""
+    """Distribute the selected vertices evenly over the field surface, and return their positions, in mm."""
     laid = places.copy()
     for _ in range(_FLATTENINGS):
         laid[around] = project_to_surface(neighbour_mean_matrix @ laid, field, None, 1)
@@ -351,35 +355,35 @@ def _relax_around_fold(
 
 
 def _is_facing_inwards(triangles: Array, field: ScalarField) -> NDArray[np.bool_]:
-    """Test which triangles (n, 3, 3) have a vertex order that points inwards, against the field gradient."""
+    """Test whether the vertex order of triangles (n, 3, 3) points inwards, against the field gradient."""
     one, two, three = (triangles[:, k] for k in range(3))
     _, outward = evaluate_with_gradient(field, (one + two + three) / 3)
     return np.asarray((np.cross(two - one, three - one) * outward).sum(axis=1) <= 0)
 
 
 def refine_to_tolerance(solid: Manifold, field: ScalarField, tolerance_mm: float, rounds: int) -> Manifold:
-    """Split the edges of a solid whose midpoints are farther from a field surface than a tolerance.
+    """Split the edges of a solid whose midpoints are farther from a field surface than a tolerance allows.
 
     Parameters
     ----------
     solid : Manifold
         Solid whose vertices are on the surface of the field.
     field : callable
-        Distance field; maps points (n, 3), in mm, to signed distances (n,), in mm.
+        Distance field. It maps points (n, 3), in mm, to signed distances (n,), in mm.
     tolerance_mm : float
         Maximum distance of an edge midpoint from the surface, in mm.
     rounds : int
-        Maximum number of rounds of splitting.
+        Maximum number of times that edges are split.
 
     Returns
     -------
     Manifold
-        The refined solid.
+        Refined solid.
 
     Raises
     ------
     InputError
-        The refined mesh is not a valid solid.
+        If the refined mesh is not a valid solid.
     """
     mesh = extract_mesh(solid)
     places, faces = np.array(mesh.vertices), np.asarray(mesh.faces)
@@ -396,7 +400,7 @@ def _split_edges_off_surface(
     rounds: int,
     select_vertices: VertexSelector | None = None,
 ) -> tuple[Array, Indices]:
-    """Split edges with midpoints too far from the field surface, and return vertices and faces.
+    """Split edges whose midpoints are too far from the field surface, and return vertices and faces.
 
     `select_vertices` maps vertices (n, 3) to booleans (n,). Only edges with both ends selected are split; None selects
     all vertices.

@@ -7,14 +7,14 @@ import numpy as np
 
 from ...core.checks import Array
 
-# Largest external rotation of the femur on the tibia, degrees. Most of it, 5 to 10 degrees, occurs in the first 30
-# degrees of flexion (Johal et al. 2005, from memory). On fixed-flexion radiographs of patients, the fibula is therefore
-# visible beside the tibia, and the femur is equally bright laterally and medially.
+# Largest external rotation of the femur on the tibia, in degrees. Most of this rotation, 5 to 10 degrees, occurs in the
+# first 30 degrees of flexion (Johal et al. 2005, from memory). On fixed-flexion radiographs of patients, the fibula is
+# therefore visible beside the tibia, and the femur is equally bright laterally and medially.
 _OUT_DEG = 9.5
-# Flexion at which the rotation reaches 1 - 1/e (63 %) of its largest value, degrees.
+# Flexion at which the external rotation reaches 1 - 1/e (63 %) of its largest value, in degrees.
 _BY_DEG = 25.0
-# Medial shift of the femur per degree of this rotation, mm. Without the shift, condyles, notch and edges deviate by 0.9
-# mm from landmarks on 150 fixed-flexion radiographs of KL 0 (Tiulpin et al. 2019; landmarks.toml).
+# Medial shift of the femur per degree of external rotation, in mm. Without the shift, condyles, notch and edges deviate
+# by 0.9 mm from landmarks on 150 fixed-flexion radiographs of KL 0 (Tiulpin et al. 2019; landmarks.toml).
 _MEDIAL_MM_PER_DEG = 0.16
 
 
@@ -28,11 +28,11 @@ class Pose:
     Attributes
     ----------
     tilt_deg : float
-        Rotation of the femur on the tibia about y, in degrees. A positive tilt lowers the medial side of the femur.
+        Rotation of the femur on the tibia about y, in degrees. A positive tilt lowers the medial condyle.
     raise_mm : float
-        Shift of the femur on the tibia along z, in mm.
+        Upward shift of the femur on the tibia along z, in mm.
     shift_mm : float
-        Shift of all bones along z, in mm.
+        Upward shift of all bones along z, in mm.
     flexion_deg : float
         Flexion of the femur on the tibia, in degrees.
     rotation_deg : float
@@ -130,7 +130,7 @@ class Pose:
 
 
 def adjust_femur_pose(pose: Pose, x: Array, raise_mm: Array) -> Pose:
-    """Tilt and raise the femur to move points at two positions along x upwards by given amounts.
+    """Tilt and raise the femur to move points at two positions along x upwards by specified distances.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def adjust_femur_pose(pose: Pose, x: Array, raise_mm: Array) -> Pose:
     x : (2,) float64 array, mm
         Positions of the two points along x.
     raise_mm : (2,) float64 array
-        Required upward shift of the two points, in mm.
+        Required upward shifts of the two points, in mm.
 
     Returns
     -------
@@ -182,7 +182,7 @@ def compose_transforms(first: Array, second: Array) -> Array:
     first : (3, 4) float64 array, mm
         Transform that is applied first.
     second : (3, 4) float64 array, mm
-        Transform that is applied to the result.
+        Transform that is applied second.
 
     Returns
     -------

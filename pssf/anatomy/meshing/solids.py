@@ -1,4 +1,4 @@
-"""Building blocks of manifold3d solids: lofts of sections, hulls and height fields, each checked when made."""
+"""Building blocks of manifold3d solids: lofts of sections, hulls and height fields. Each function checks its solid."""
 
 from collections.abc import Callable
 
@@ -14,8 +14,8 @@ from ...geometry.mesh import Indices, Mesh
 
 # Exponent of the superellipse that describes the cross-section of a shaft, dimensionless.
 SHAFT_POWER = 2.3
-# Triangles that replace a triangle with 1, 2 or 3 split edges. Numbers 0 to 2 are its corners, 3 to 5 its edge
-# midpoints.
+# Replacements for a triangle with 1, 2 or 3 split edges. Vertices 0 to 2 are its corners, and vertices 3 to 5 are its
+# edge midpoints.
 _PIECES = {
     1: [[0, 3, 2], [3, 1, 2]],
     2: [[3, 1, 4], [0, 3, 4], [0, 4, 2]],
@@ -41,8 +41,8 @@ def require_valid_solid(solid: Manifold, name: str) -> Manifold:
     Raises
     ------
     InputError
-        The status is not NoError, or the volume is 0. manifold3d itself never raises. It reports a failure only by the
-        status and an empty result.
+        If the status is not NoError, or if the volume is 0. manifold3d itself never raises an error; a failed operation
+        only sets the status and returns an empty solid.
     """
     status = solid.status()
     if status != manifold3d.Error.NoError or not solid.volume() > 0:
@@ -61,7 +61,7 @@ def build_solid(vertices_mm: Array, faces: Indices, name: str) -> Manifold:
     vertices_mm : (n, 3) float64 array
         Vertices, in mm.
     faces : (m, 3) int array, vertex numbers
-        Triangles, wound so that they point outwards.
+        Triangles whose vertex order makes them point outwards.
     name : str
         Name of the solid in the error message.
 
@@ -73,7 +73,7 @@ def build_solid(vertices_mm: Array, faces: Indices, name: str) -> Manifold:
     Raises
     ------
     InputError
-        The mesh is not a valid solid.
+        If the mesh is not a valid solid.
     """
     mesh = manifold3d.Mesh64(np.ascontiguousarray(vertices_mm, np.float64), np.ascontiguousarray(faces, np.uint64))
     return require_valid_solid(Manifold(mesh), name)
@@ -97,7 +97,7 @@ def extract_mesh(solid: Manifold) -> Mesh:
 
 
 def build_bounding_box(solid: Manifold, margin_mm: float) -> Manifold:
-    """Build the axis-aligned box around a solid, enlarged by a margin.
+    """Build an axis-aligned box around a solid, with a margin.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def build_bounding_box(solid: Manifold, margin_mm: float) -> Manifold:
     Returns
     -------
     Manifold
-        The box.
+        Bounding box.
     """
     low, high = np.array(solid.bounding_box()).reshape(2, 3)
     return Manifold.cube(high - low + 2 * margin_mm).translate(low - margin_mm)
@@ -142,7 +142,7 @@ def find_closed_mesh_edges(faces: Indices) -> Indices:
     Parameters
     ----------
     faces : (k, 3) int array, vertex numbers
-        Triangles with consistent winding: each edge then occurs once in either direction.
+        Triangles with consistent winding, so that each edge occurs once in each direction.
 
     Returns
     -------
@@ -160,7 +160,7 @@ def find_crossing_sides(values: Array, faces: Indices, level: float) -> tuple[In
     Parameters
     ----------
     values : (k,) float64 array, any unit
-        Value at each vertex.
+        Values at the vertices.
     faces : (m, 3) int array, vertex numbers
         Triangles.
     level : float
@@ -198,7 +198,7 @@ def dilate_rings(selected: NDArray[np.bool_], faces: Indices, rings: int) -> NDA
     Returns
     -------
     (n,) bool array
-        The extended selection.
+        Extended selection.
     """
     wide = selected.copy()
     for _ in range(rings):
@@ -214,7 +214,7 @@ def split_edges(faces: Indices, edges: Indices, first: int) -> Indices:
     faces : (m, 3) int array, vertex numbers
         Triangles.
     edges : (n, 2) int array, vertex numbers
-        Edges to split, the smaller vertex number first. Their midpoints become vertices `first`, `first` + 1, ...
+        Edges to split, smaller vertex number first. The midpoints become vertices `first`, `first` + 1, ...
     first : int
         Number of vertices before the split.
 
@@ -235,7 +235,7 @@ def split_edges(faces: Indices, edges: Indices, first: int) -> Indices:
     middle = np.where(key[order[place]] == wanted, first + order[place], -1)
     count = (middle >= 0).sum(axis=1)
     kept[number[count > 0]] = False
-    # The corners of each face are reordered so that split edges come first: corners a, b, c, and midpoints of ab, bc,
+    # The corners of each face are reordered to put split edges first: corners a, b, c, then the midpoints of ab, bc,
     # ca.
     start = np.where(count == 1, np.argmax(middle >= 0, axis=1), (np.argmax(middle < 0, axis=1) + 1) % 3)
     turn = (start[:, None] + np.arange(3)) % 3
@@ -253,7 +253,7 @@ def split_selected_edges(
     choose: Callable[[Array, Indices], tuple[Indices, Array]],
     select_vertices: Callable[[Array], NDArray[np.bool_]] | None = None,
 ) -> tuple[Array, Indices]:
-    """Split selected edges of a closed mesh in half, repeatedly, until none is selected.
+    """Split selected edges of a closed mesh in half, and repeat this step until no edge is selected.
 
     Parameters
     ----------
@@ -262,13 +262,13 @@ def split_selected_edges(
     faces : (m, 3) int array, vertex numbers
         Triangles.
     rounds : int
-        Maximum number of rounds.
+        Maximum number of repetitions.
     choose : callable
-        Maps vertices (n, 3), in mm, and edges (k, 2) to the edges to split (l, 2) and their new midpoints (l, 3), in
-        mm.
+        Function that maps vertices (n, 3), in mm, and edges (k, 2) to the edges to split (l, 2) and their new midpoints
+        (l, 3), in mm.
     select_vertices : callable or None
-        Maps vertices (n, 3) to booleans (n,). Only edges with both ends selected are offered to `choose`. None selects
-        all vertices.
+        Function that maps vertices (n, 3), in mm, to booleans (n,). `choose` receives only edges with both ends
+        selected. None selects all vertices.
 
     Returns
     -------
@@ -305,12 +305,12 @@ def build_hull(points_mm: Array, name: str) -> Manifold:
     Returns
     -------
     Manifold
-        The hull.
+        Convex hull.
 
     Raises
     ------
     InputError
-        The hull is not a valid solid.
+        If the hull is not a valid solid.
     """
     return require_valid_solid(Manifold.hull_points(np.ascontiguousarray(points_mm, np.float64)), name)
 
@@ -334,7 +334,7 @@ def make_ring(half_x: float, half_y: float, centre: tuple[float, float, float], 
     Returns
     -------
     (count, 3) float64 array
-        Points in mm, counter-clockwise seen from +z.
+        Points in mm, counter-clockwise when viewed from +z.
     """
     return make_rings(np.array([half_x]), np.array([half_y]), np.array([centre]), power, count)[0]
 
@@ -358,7 +358,7 @@ def make_rings(half_x: Array, half_y: Array, centres: Array, power: float, count
     Returns
     -------
     (n, count, 3) float64 array
-        Rings in mm, counter-clockwise seen from +z.
+        Rings in mm, counter-clockwise when viewed from +z.
 
     See Also
     --------
@@ -380,12 +380,12 @@ def loft(rings_mm: Array, name: str, *, strip_caps: bool = False) -> Manifold:
     Parameters
     ----------
     rings_mm : (levels, count, 3) float64 array
-        Rings in mm, counter-clockwise seen from +z, with increasing z.
+        Rings in mm, counter-clockwise when viewed from +z, in the order of increasing z.
     name : str
         Name of the solid in the error message.
     strip_caps : bool
-        True triangulates the caps in strips from one side to the other; these stay valid if a narrow cap is bent later.
-        False triangulates the caps as fans around their centres.
+        If True, the caps are triangulated in strips from one side to the other. Strips remain valid if a narrow cap is
+        later bent. If False, the caps are triangulated as fans around their centres.
 
     Returns
     -------
@@ -395,7 +395,7 @@ def loft(rings_mm: Array, name: str, *, strip_caps: bool = False) -> Manifold:
     Raises
     ------
     InputError
-        The mesh is not a valid solid.
+        If the mesh is not a valid solid.
     """
     levels, count, _ = rings_mm.shape
     lower = np.arange(levels - 1)[:, None] * count + np.arange(count)
@@ -416,7 +416,7 @@ def loft(rings_mm: Array, name: str, *, strip_caps: bool = False) -> Manifold:
 
 
 def _list_strip_cap_faces(count: int) -> Indices:
-    """List the faces (count - 2, 3) of a cap in strips across a ring, counter-clockwise.
+    """List the faces (count - 2, 3) of a cap as strips across its ring, counter-clockwise.
 
     `count` must be even.
     """
@@ -438,14 +438,14 @@ def loft_column(
     *,
     strip_caps: bool = False,
 ) -> Manifold:
-    """Build a solid through superelliptic sections interpolated in height, reduced by a wall thickness.
+    """Build a column through superelliptic sections that are interpolated in height and reduced by a wall thickness.
 
     Parameters
     ----------
     sections : (n, 5) float64 array, mm
         One row per section, in any order: height z, half width ML, half width AP, centre y, centre x.
     inset_mm : callable
-        Maps heights (k,), in mm, to the thickness (k,), in mm, that is subtracted from both half axes.
+        Function that maps heights (k,), in mm, to the thickness (k,), in mm, that is subtracted from both half axes.
     heights_mm : (k,) float64 array
         Heights of the rings, in mm, in increasing order.
     name : str
@@ -455,7 +455,7 @@ def loft_column(
     count : int
         Number of points per ring.
     strip_caps : bool
-        True triangulates the caps in strips, as in `loft`.
+        If True, the caps are triangulated in strips, as in `loft`.
 
     Returns
     -------
@@ -465,7 +465,7 @@ def loft_column(
     Raises
     ------
     InputError
-        The mesh is not a valid solid.
+        If the mesh is not a valid solid.
     """
     return loft(
         make_column_rings(sections, heights_mm, power, count, inset_mm(heights_mm)), name, strip_caps=strip_caps
@@ -493,7 +493,7 @@ def make_column_rings(
     Returns
     -------
     (k, count, 3) float64 array
-        Rings in mm, counter-clockwise seen from +z.
+        Rings in mm, counter-clockwise when viewed from +z.
     """
     table = np.asarray(sections, dtype=np.float64)
     table = table[np.argsort(table[:, 0])]
@@ -503,7 +503,7 @@ def make_column_rings(
 
 
 def make_thickness_profile(table: Rows | Array, factor: float = 1.0) -> Callable[[Array], Array]:
-    """Make a function that interpolates cortical thickness in height.
+    """Make a function that interpolates cortical thickness between heights.
 
     Parameters
     ----------
@@ -515,7 +515,7 @@ def make_thickness_profile(table: Rows | Array, factor: float = 1.0) -> Callable
     Returns
     -------
     callable
-        Maps heights (k,), in mm, to thicknesses (k,), in mm.
+        Function that maps heights (k,), in mm, to thicknesses (k,), in mm.
     """
     rows = np.asarray(table, dtype=np.float64)
     rows = rows[np.argsort(rows[:, 0])]
@@ -546,7 +546,7 @@ def build_height_field(x_mm: Array, y_mm: Array, top_mm: Array, bottom_mm: float
     Raises
     ------
     InputError
-        The mesh is not a valid solid.
+        If the mesh is not a valid solid.
     """
     nx, ny = top_mm.shape
     gx, gy = np.meshgrid(x_mm, y_mm, indexing="ij")

@@ -1,8 +1,8 @@
-"""Repair after Boolean cuts: restore the faces that a cut should not have changed.
+"""Repair after Boolean operations: restore the faces that a cut should not have changed.
 
 In a mesh with folded slivers, a Boolean operation of manifold3d also flips edges far from the cut. These flips move the
-surface by micrometres. A patch of new faces is replaced under two conditions. All its vertices are original vertices,
-and its boundary equals that of a patch of removed faces.
+surface by micrometres. A patch of new faces is replaced if all its vertices are original vertices and its boundary
+equals the boundary of a patch of removed faces.
 """
 
 import numpy as np
@@ -24,7 +24,7 @@ def restore_uncut_faces(cut: Mesh, whole: Mesh) -> Mesh:
     Returns
     -------
     Mesh
-        The cut mesh with original faces restored; `cut` itself if there is nothing to restore.
+        Cut mesh with restored original faces, or unchanged `cut` if no face needs to be restored.
     """
     places, number = np.unique(np.vstack((whole.vertices, cut.vertices)), axis=0, return_inverse=True)
     own = number.ravel()[len(whole.vertices) :]
@@ -45,14 +45,14 @@ def restore_uncut_faces(cut: Mesh, whole: Mesh) -> Mesh:
     if not put_back:
         return cut
     restored = np.vstack(put_back)
-    lost = np.setdiff1d(restored, own)  # The cut mesh lacks these vertices inside restored patches.
+    lost = np.setdiff1d(restored, own)  # Vertices inside restored patches that the cut mesh lacks.
     vertex = np.empty(len(places), np.int64)
     vertex[own], vertex[lost] = np.arange(len(own)), len(own) + np.arange(len(lost))
     return Mesh(np.vstack((cut.vertices, places[lost])), np.vstack((cut.faces[keep], vertex[restored])))
 
 
 def _compute_face_keys(faces: Indices, count: int) -> Indices:
-    """Compute keys (m,) of faces that do not depend on which corner comes first.
+    """Compute keys (m,) of faces. A key does not depend on which corner of the face comes first.
 
     `faces` (m, 3) are vertex numbers below `count`.
     """
@@ -72,6 +72,6 @@ def _split_into_patches(faces: Indices, count: int) -> list[Indices]:
 
 
 def _find_boundary_edges(faces: Indices) -> frozenset[tuple[int, int]]:
-    """Find the directed edges of faces (m, 3) whose reversed edge belongs to none of the faces."""
+    """Find the directed edges of faces (m, 3) whose reversed edge does not belong to these faces."""
     edges = {(int(face[k]), int(face[(k + 1) % 3])) for face in faces for k in range(3)}
     return frozenset(edge for edge in edges if edge[::-1] not in edges)

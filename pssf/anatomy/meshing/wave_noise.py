@@ -35,7 +35,7 @@ def compute_wave_noise(points: Array, lengths_mm: Pair, seed: int, stream_key: t
     return np.asarray(waves.sum(axis=1) * np.sqrt(2 / _WAVE_COUNT))
 
 
-# The waves are cached, because one knee evaluates the same few fields at about a hundred sets of points.
+# The waves are cached, because building one knee evaluates a few noise fields at about a hundred sets of points.
 @lru_cache(maxsize=32)
 def _sample_waves(lengths_mm: Pair, seed: int, stream_key: tuple[int, ...]) -> tuple[Array, Array]:
     """Sample the wave vectors (waves, 3), in rad/mm, and the phases at the origin (waves,), in rad."""

@@ -12,8 +12,8 @@ size and the side of the knee therefore do not affect the result.
 ``between_spines``
     Lowest point between the spines.
 ``tibia_*_1``, ``tibia_*_2``
-    Points at fixed fractions of the distance from edge to spine, as annotators place them. The lateral points are
-    on the contour, the medial points on the floor of the plateau.
+    Points at fixed fractions of the distance from edge to spine, as in the annotations. The lateral points are on the
+    contour, and the medial points are on the floor of the plateau.
 ``notch_top``
     Highest point of the lower femoral contour within the central quarter of its width.
 ``femur_*_notch``
@@ -24,9 +24,9 @@ size and the side of the knee therefore do not affect the result.
     Point on the contour halfway along x between edge and notch.
 
 The floor of the plateau is the lowest point within the central half of its antero-posterior depth. The medial plateau
-is concave. On the outline of real bones (Clouthier et al. 2019), its rims are about 4 mm higher than the annotated
-points. The lateral outline of sampled knees agrees with the two annotated points within 0.2 mm and has the same
-variation. The lateral floor at point 2 would be 2 mm lower than this outline.
+is concave. On the outlines of real bones (Clouthier et al. 2019), its rims are about 4 mm higher than the annotated
+points. The lateral outline of sampled knees agrees with the two annotated lateral points within 0.2 mm and has the same
+variation. The lateral floor would be 2 mm lower than the lateral outline at point 2.
 """
 
 from dataclasses import dataclass
@@ -51,25 +51,25 @@ CONTOUR_LANDMARKS = TIBIAL_LANDMARKS + FEMORAL_LANDMARKS
 # Positions of points 1 and 2 along x as fractions of the distance from edge to spine. They are means of the annotations
 # of 150 knees of KL 0 (Tiulpin et al. 2019).
 _EDGE_TO_SPINE_FRACTIONS = {"lateral": (0.356, 0.709), "medial": (0.392, 0.779)}
-# Range in which a spine is searched on each side of the plateau centre, as a fraction of the plateau width.
+# Search range for a spine on each side of the plateau centre, as a fraction of the plateau width.
 _SPINE_SEARCH_FRACTION = 0.22
-# Range in which the top of the notch is searched on each side of the femoral centre, as a fraction of the femoral
-# width.
+# Search range for the notch top on each side of the femoral centre, as a fraction of the femoral width.
 _NOTCH_REACH = 0.125
-# Height of the lateral and medial notch point above the condyle, as a fraction of the height of the notch top (Tiulpin
-# et al. 2019).
+# Heights of the lateral and medial notch points above the condyle, as fractions of the height of the notch top above
+# the condyle (Tiulpin et al. 2019).
 _NOTCH_RISES = (0.355, 0.404)
 # Angle between the horizontal and the tangent that touches a bone at its medial or lateral edge, in degrees. Angles
 # from 25 to 45 degrees were tested on the bones of 50 subjects (Clouthier et al. 2019) in fixed flexion. The edge
-# heights deviate from annotated landmarks by 1.2 SD at 45 degrees and by 0.9 SD at 30 degrees. Smaller angles reduce
-# the deviation little and fail for some bones.
+# heights deviate from annotated landmarks by 1.2 SD at 45 degrees and by 0.9 SD at 30 degrees. Angles below 30 degrees
+# reduce the deviation only slightly and fail for some bones.
 _TANGENT_DEG = 30.0
-# Largest distance of plateau points below the line through the medial and lateral edge, as a fraction of the plateau
-# width. With 0.08, the slope anterior to the spines would count as floor (bones of Clouthier et al. 2019).
+# Points farther below the line through the medial and lateral edges are not part of the plateau, as a fraction of the
+# plateau width. With a fraction of 0.08, the slope anterior to the spines would count as floor (bones of Clouthier et
+# al. 2019).
 _PLATEAU_UNDER = 0.04
-# Central range of the antero-posterior depth in which the floor is searched, as fractions of the depth.
+# Central range of the antero-posterior depth of the plateau in which the floor is searched, as fractions of this depth.
 _MIDDLE = (0.25, 0.75)
-# Distance below the top of a section down to which all points belong to the plateau, in mm.
+# All points down to this distance below the top of a section belong to the plateau, in mm.
 _MIN_SECTION_DEPTH_MM = 2.0
 # Distance between the points of a contour, along x on the detector or along the beam in a section, in mm. The contour
 # is exact at each point.
@@ -78,35 +78,35 @@ _STEP_MM = 0.05
 
 @dataclass(frozen=True, eq=False)
 class _Contour:
-    """Outline of a bone on the detector, or the outline of a sagittal section.
+    """Outline of a bone on the detector, or outline of a sagittal section.
 
-    `x_mm` and `y_mm`, both (n,), are points at equal steps in x. On the detector, x points to medial and y to
-    proximal, in mm from the detector centre. In a section, x is the depth along the beam.
+    `x_mm` and `y_mm`, both (n,), are the coordinates of points at equal steps in x. On the detector, x is the medial
+    and y the proximal direction, in mm from the detector centre. In a section, x is the depth along the beam.
     """
 
     x_mm: Array
     y_mm: Array
 
     def find_nearest_point(self, x_mm: float) -> tuple[float, float]:
-        """Return the point with the nearest x, in mm."""
+        """Return the contour point whose x is nearest to `x_mm`, in mm."""
         return self._place(int(np.abs(self.x_mm - x_mm).argmin()))
 
     def crop_between(self, first_mm: float, last_mm: float) -> "_Contour":
-        """Return the part of the contour between two values of x, given in any order, in mm."""
+        """Return the contour between two values of x, which may be in either order, in mm."""
         low, high = sorted((first_mm, last_mm))
         part = (self.x_mm >= low) & (self.x_mm <= high)
         return _Contour(self.x_mm[part], self.y_mm[part])
 
     def find_highest_point(self) -> tuple[float, float]:
-        """Return the point with the largest y, in mm."""
+        """Return the contour point with the largest y, in mm."""
         return self._place(int(self.y_mm.argmax()))
 
     def find_lowest_point(self) -> tuple[float, float]:
-        """Return the point with the smallest y, in mm."""
+        """Return the contour point with the smallest y, in mm."""
         return self._place(int(self.y_mm.argmin()))
 
     def _place(self, index: int) -> tuple[float, float]:
-        """Return the contour point with the given index, in mm."""
+        """Return the coordinates of the contour point at an index, in mm."""
         return float(self.x_mm[index]), float(self.y_mm[index])
 
 
@@ -124,7 +124,7 @@ def find_contour_landmarks(
     view : View
         Source and detector.
     medial_sign : int
-        +1 if medial is towards +x (a right knee), else -1.
+        +1 if the medial side is towards +x (a right knee), else -1.
     lean_deg : float, default 0.0
         Lean of the leg in the image, in degrees, clockwise positive. Landmarks refer to the axes of the leg.
 
@@ -151,7 +151,7 @@ def find_plateau_floor(tibia: Mesh, view: View, medial_sign: int, lean_deg: floa
     view : View
         Source and detector.
     medial_sign : int
-        +1 if medial is towards +x (a right knee), else -1.
+        +1 if the medial side is towards +x (a right knee), else -1.
     lean_deg : float, default 0.0
         Lean of the leg in the image, in degrees, clockwise positive.
 
@@ -165,16 +165,16 @@ def find_plateau_floor(tibia: Mesh, view: View, medial_sign: int, lean_deg: floa
 
 
 def _convert_to_px(places_mm: list[tuple[float, float]], view: View, medial_sign: int, lean_deg: float) -> Array:
-    """Convert points from `_project_upright_mm` to rows and columns (n, 2), in pixels."""
+    """Convert points returned by `_project_upright_mm` to rows and columns (n, 2), in pixels."""
     rows, cols = (view.rows - 1) / 2, (view.cols - 1) / 2
     upright = [(rows - y / view.pixel_mm, cols + medial_sign * x / view.pixel_mm) for x, y in places_mm]
     return rotate_px(np.array(upright), view, lean_deg)
 
 
 def _project_upright_mm(vertices: Array, view: View, medial_sign: int, lean_deg: float) -> Array:
-    """Project vertices (n, 3) and remove the lean of the leg.
+    """Project vertices (n, 3) onto the detector and remove the lean of the leg.
 
-    The result (n, 2) contains x towards medial and y towards proximal, in mm from the detector centre.
+    The columns of the result (n, 2) are x towards medial and y towards proximal, in mm from the detector centre.
     """
     seen = rotate_px(project_points(vertices, view), view, -lean_deg)
     x = (seen[:, 1] - (view.cols - 1) / 2) * view.pixel_mm * medial_sign
@@ -182,7 +182,7 @@ def _project_upright_mm(vertices: Array, view: View, medial_sign: int, lean_deg:
 
 
 def _list_triangle_sides(mesh: Mesh) -> Indices:
-    """List the edges (3 m, 2) of all triangles, with duplicates, because removing duplicates would take longer."""
+    """List the edges (3 m, 2) of all triangles. Duplicates remain, because removing them would take longer."""
     return mesh.faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
 
 
@@ -197,7 +197,7 @@ def _trace_contour(points_mm: Array, sides: Indices, ends_mm: tuple[float, float
 
 
 def _find_edges(points_mm: Array, touch_sign: float) -> list[tuple[float, float]]:
-    """Find the lateral and medial points that an oblique line touches first, from above (+1) or below (-1)."""
+    """Find the lateral and medial points at which an oblique line touches a bone from above (+1) or below (-1)."""
     turn = np.deg2rad(_TANGENT_DEG)
     touched = [(points_mm @ (out * np.sin(turn), touch_sign * np.cos(turn))).argmax() for out in (-1.0, 1.0)]
     return [(float(points_mm[k, 0]), float(points_mm[k, 1])) for k in touched]
@@ -233,12 +233,13 @@ def _cut_section(points_mm: Array, tibia: Mesh, x_mm: float) -> _Contour:
     starts, ends, share = find_crossing_sides(points_mm[:, 0], tibia.faces, x_mm)
     both = np.column_stack((tibia.vertices[:, 1], points_mm[:, 1]))
     points = both[starts] + share[:, None] * (both[ends] - both[starts])
-    # Two edges of each triangle cross the plane; the segment between the two crossings belongs to the section.
+    # Two edges of each triangle intersect the plane. The segment between the two intersection points belongs to the
+    # section.
     return _trace_contour(points, np.arange(len(points)).reshape(-1, 2), (points[:, 0].min(), points[:, 0].max()), -1.0)
 
 
 def _find_floor_height_mm(section: _Contour, above_mm: float) -> float:
-    """Return the lowest height in the central half of a section, ignoring points below `above_mm`, in mm."""
+    """Return the lowest height in the central half of a section, ignoring points below the height `above_mm`, in mm."""
     depths = section.x_mm[section.y_mm > min(above_mm, section.y_mm.max() - _MIN_SECTION_DEPTH_MM)]
     low, high = (depths.min() + share * np.ptp(depths) for share in _MIDDLE)
     return section.crop_between(low, high).find_lowest_point()[1]
@@ -255,7 +256,7 @@ def _find_femoral_landmarks(points_mm: Array, sides: Indices) -> list[tuple[floa
         low = contour.crop_between(edge[0], top[0]).find_lowest_point()
         wall = contour.crop_between(low[0], top[0])
         risen = wall.x_mm[wall.y_mm >= low[1] + rise * (top[1] - low[1])]
-        # The notch landmark is the first of these points from the condyle towards the notch.
+        # The notch landmark is the first point from the condyle towards the notch that exceeds the specified height.
         notch = wall.find_nearest_point(risen[np.abs(risen - edge[0]).argmin()])
         by_side.append([edge, contour.find_nearest_point((edge[0] + notch[0]) / 2), notch])
     return [*by_side[0], top, *by_side[1][::-1]]

@@ -10,7 +10,7 @@ from ...data.table_records import Pair
 from ...geometry.mesh import Indices
 from ...geometry.view import View, magnification, project_points
 
-# Range in which JSW is measured, in fractions of half the tibial width. It excludes the spines and the margins.
+# Range in which JSW is measured, as fractions of half the tibial width. The range excludes the spines and the margins.
 COMPARTMENT_RANGE = (0.36, 0.85)
 # Smallest number of columns that are sampled per compartment.
 _MIN_COLUMNS = 3
@@ -25,13 +25,13 @@ class Gap:
     Attributes
     ----------
     columns_px : (n,) float64 array
-        Sampled columns within the compartment, in pixels. They are fractional if the pixels are too coarse.
+        Sampled columns within the compartment, in pixels. The columns are fractional if the pixels are coarse.
     femur_px : (n,) float64 array
         Row of the lower femoral contour in each column, in pixels.
     tibia_px : (n,) float64 array
         Row of the upper tibial contour, or of the floor of the plateau, in each column, in pixels.
     mm_per_pixel : float
-        Pixel size in the joint plane, in mm.
+        Pixel size scaled to the joint plane, in mm per pixel.
     middle_col_px : float
         Column at the centre of the compartment, in pixels.
     """
@@ -58,9 +58,9 @@ class Gap:
         Returns
         -------
         femur : tuple of float
-            Row and column on the femoral contour, in pixels.
+            Row and column of the point on the femoral contour, in pixels.
         tibia : tuple of float
-            Row and column on the tibial contour, in pixels.
+            Row and column of the point on the tibial contour, in pixels.
         """
         at = self.narrowest_index
         col = float(self.columns_px[at])
@@ -117,8 +117,8 @@ def measure_gap(
     femur : tuple of (n, 3) float64 array, mm, and (m, 2) integer array
         Vertices and edges of the outer femur in the knee frame.
     tibia : tuple like `femur`, or (k, 2) float64 array, px
-        Vertices and edges of the outer tibia, or a polyline that replaces its contour. The polyline consists of row and
-        column of its points, in the order of increasing columns.
+        Vertices and edges of the outer tibia, or a polyline that replaces its contour. The polyline contains the row
+        and the column of each point, in the order of increasing columns.
     view : View
         Source and detector.
     side_sign : int
@@ -129,16 +129,16 @@ def measure_gap(
         Lean of the leg in the image, in degrees, clockwise positive. The lean is removed before rows and columns are
         measured.
     range_fractions : tuple of float, default (0.36, 0.85)
-        Range in which the joint space is measured, in fractions of `half_ml_mm`.
+        Range in which the joint space is measured, as fractions of `half_ml_mm`.
 
     Returns
     -------
     Gap
-        Joint space per column.
+        Joint space at each sampled column.
     """
     ends = np.array([[side_sign * f * half_ml_mm, 0.0, 0.0] for f in range_fractions])
     first, last = np.sort(project_points(ends, view)[:, 1])
-    # The gap is measured on the exact contours. A coarse detector is therefore also sampled between its columns.
+    # The gap is measured on exact contours, so contours on a coarse detector are also sampled between its columns.
     finer = max(1, int(np.ceil(view.pixel_mm / _MAX_STEP_MM)), int(np.ceil(_MIN_COLUMNS / (last - first))))
     steps = np.arange(np.ceil(first * finer), np.floor(last * finer) + 1)
     columns = steps / finer
@@ -166,7 +166,7 @@ def compute_outline_rows(points_px: Array, edges: Indices, first_column: int, co
     edges : (m, 2) integer array
         Vertex indices of the edges.
     first_column : int
-        First column.
+        Index of the first column.
     count : int
         Number of columns.
     outline_sign : float
@@ -175,7 +175,7 @@ def compute_outline_rows(points_px: Array, edges: Indices, first_column: int, co
     Returns
     -------
     (count,) float64 array
-        Row of the outline in each column, in pixels; infinite in columns without mesh.
+        Row of the outline in each column, in pixels. It is infinite in columns that contain no mesh.
     """
     return (
         _walk_edges(np.ascontiguousarray(points_px), np.ascontiguousarray(edges), first_column, count, outline_sign)
@@ -185,9 +185,9 @@ def compute_outline_rows(points_px: Array, edges: Indices, first_column: int, co
 
 @kernel()
 def _walk_edges(points: Array, edges: Indices, first: int, count: int, outline_sign: float) -> Array:
-    """Return the largest ``outline_sign * row`` (count,) of all edges in each column.
+    """Return the largest ``outline_sign * row`` (count,) over all edges in each column.
 
-    The contour of a polyhedron runs along its edges.
+    The outline of a polyhedron consists of its edges.
     """
     best = np.full(count, -np.inf)
     for k in range(edges.shape[0]):

@@ -1,1 +1,1 @@
-"""Posture: pose of the bones, joint space solver, flexion, wear and plateau margins."""
+"""Posture: pose of the bones, joint space solver, flexion, plateau wear and plateau margins."""

@@ -17,12 +17,12 @@ from ..meshing.solids import build_solid, extract_mesh
 from ..outlines.projected_contours import COMPARTMENT_RANGE
 from .knee_assembly import KneeAssembly
 
-# Number of bisections between 0 and the largest wear depth; they give the depth to 0.001 mm.
+# Number of bisections between 0 and the largest depth of wear. They determine the depth to 0.001 mm.
 _BISECTIONS = 13
 
 
 def build_outer_meshes(assembly: KneeAssembly) -> tuple[Mesh, Mesh]:
-    """Build the outer surfaces of femur and worn tibia in their pose, before they are mirrored.
+    """Build the outer surfaces of the femur and the worn tibia in their pose, before mirroring.
 
     Parameters
     ----------
@@ -39,17 +39,17 @@ def build_outer_meshes(assembly: KneeAssembly) -> tuple[Mesh, Mesh]:
     Raises
     ------
     InputError
-        The wear would be deeper than `MAX_WEAR_MM`.
+        If the wear would be deeper than `MAX_WEAR_MM`.
     """
     femur, tibia = _build_posed_solids(assembly)
     return extract_mesh(femur), extract_mesh(wear_outer_tibia(tibia, femur))
 
 
 def measure_attrition_mm(assembly: KneeAssembly) -> dict[str, float]:
-    """Measure the largest depth of plateau wear per compartment, in the posture that defines the joint space.
+    """Measure the largest depth of plateau wear per compartment, in the posture that defines JSW.
 
-    The depth is measured along the leg, on the plateau outside the spines. The spines are excluded, because the notch
-    may wear them too.
+    The depth is measured along the leg, on the plateau outside the spines. The spines are excluded, because contact
+    with the notch may wear them too.
 
     Parameters
     ----------
@@ -59,8 +59,8 @@ def measure_attrition_mm(assembly: KneeAssembly) -> dict[str, float]:
     Returns
     -------
     dict of str to float
-        Depth in mm for "medial" and "lateral". It is 0 where the bones do not overlap, and at most `MAX_WEAR_MM`,
-        because deeper wear is never built.
+        Depth in mm for "medial" and "lateral". The depth is 0 where the bones do not overlap. It is at most
+        `MAX_WEAR_MM`, because deeper wear is rejected.
     """
     femur, tibia = _build_posed_solids(replace(assembly, pose=assembly.jsw_pose))
     shared = tibia ^ femur
@@ -77,7 +77,7 @@ def measure_attrition_mm(assembly: KneeAssembly) -> dict[str, float]:
 
 
 def _measure_depth_mm(plateau: Manifold, femur: Manifold) -> float:
-    """Measure how far the femur must be raised to be clear of the plateau, plus the contact gap, mm."""
+    """Measure the distance by which the femur must be raised to clear the plateau, including the contact gap, in mm."""
 
     def meet(raised_mm: float) -> bool:
         return bool((plateau ^ femur.translate((0.0, 0.0, raised_mm))).volume() > ROUNDING_MM3)

@@ -1,4 +1,4 @@
-"""Flexion: flex a knee further while the femur rolls on the tibia and both compartments keep their gap."""
+"""Flexion: flex a knee further. The femur rolls on the tibia, and the gaps in both compartments stay unchanged."""
 
 from dataclasses import replace
 
@@ -9,27 +9,30 @@ from ...core.checks import Array, InputError
 from ..meshing.rigid_pose import Pose, adjust_femur_pose, apply_transform
 from ..outlines.projected_contours import COMPARTMENT_RANGE
 
-# Posterior shift of the femur on the tibia, mm per degree of flexion, mean of the medial and lateral side. The shift
-# over 110 degrees is nearly 0 medially and about 15 mm laterally (Iwaki, Pinskerova and Freeman 2000, from memory).
+# Posterior shift of the femur on the tibia, in mm per degree of flexion, mean of the medial and lateral compartment.
+# The shift over 110 degrees is nearly 0 medially and about 15 mm laterally (Iwaki, Pinskerova and Freeman 2000, from
+# memory).
 _ROLLBACK_MM_PER_DEG = 0.07
-# Height below which the femur can touch the tibia, mm.
+# Height below which the femur can touch the tibia, in mm in the frame of the femur.
 _FEMUR_BELOW_MM = 50.0
-# Height above which the tibia can touch the femur, mm.
+# Height above which the tibia can touch the femur, in mm in the frame of the tibia.
 _TIBIA_ABOVE_MM = -14.0
-# Tolerance of the gap in each compartment, mm.
+# Tolerance of the gap width in each compartment, in mm.
 _TOLERANCE_MM = 1e-3
-# Largest number of iterations.
+# Largest number of iterations of the search for a pose with both gaps unchanged.
 _TURNS = 60
 # Number of iterations with full steps; later iterations use half steps.
 _FULL_STEPS = 10
-# Largest accepted gap error, mm, if no pose has both gaps because a condyle slips over the rim of the plateau.
+# Largest accepted gap error, in mm. It applies if no pose preserves both gaps because a condyle slips over the rim of
+# the plateau.
 _ACCEPTED_ERROR_MM = 0.05
-# Cell size of the grid for the plateau surface, mm. The surface is linear between the highest points of the cells.
+# Cell size of the grid that approximates the plateau surface, in mm. The surface is linear between the highest points
+# of the cells.
 _CELL_MM = 0.7
 
 
 def flex_pose(pose: Pose, femur: Array, tibia: Array, half_ml_mm: float, flexion_deg: float) -> Pose:
-    """Flex the femur further and keep its gap to the tibia in both compartments.
+    """Flex the femur further without changing its gaps to the tibia in both compartments.
 
     Parameters
     ----------
@@ -47,19 +50,19 @@ def flex_pose(pose: Pose, femur: Array, tibia: Array, half_ml_mm: float, flexion
     Returns
     -------
     Pose
-        Pose with the additional flexion and rollback. The smallest gap of each compartment, along the tibial axis, is
-        unchanged.
+        Pose with the additional flexion and rollback. The smallest gap of each compartment, measured along the tibial
+        axis, is unchanged.
 
     Raises
     ------
     InputError
-        No pose keeps the gaps of both compartments.
+        If no pose preserves the gaps of both compartments.
     """
     low, high = (share * half_ml_mm for share in COMPARTMENT_RANGE)
     plateau = tibia[(tibia[:, 2] > _TIBIA_ABOVE_MM) & (np.abs(tibia[:, 0]) < high + 3.0)]
     surface = LinearNDInterpolator(*_select_highest_points(plateau))
     lower = femur[femur[:, 2] < _FEMUR_BELOW_MM]
-    # Points are selected by their position in the bone, so the selection does not change with the pose.
+    # Points are selected by their position in the bone, so that the selection does not depend on the pose.
     sides = [lower[(side * lower[:, 0] > low) & (side * lower[:, 0] < high)] for side in (+1, -1)]
     wanted, _ = _measure_gaps_mm(pose, sides, surface)
     bent = replace(
@@ -76,21 +79,21 @@ def flex_pose(pose: Pose, femur: Array, tibia: Array, half_ml_mm: float, flexion
             return bent
         if off_mm < least_mm:
             nearest, least_mm = bent, off_mm
-        # If two points of a condyle are alternately the lowest, half steps find the pose in which both have the same
-        # height.
+        # If two points of a condyle alternate as the lowest point, half steps find the pose in which both points have
+        # the same height.
         bent = adjust_femur_pose(bent, x, error if turn_number < _FULL_STEPS else error / 2)
     if least_mm < _ACCEPTED_ERROR_MM:
         return nearest
     raise InputError(
-        f"flexion_deg must let the femur rest on the tibia, got {bent.flexion_deg:g} deg with a residual gap of "
+        f"flexion_deg must allow contact between femur and tibia, got {bent.flexion_deg:g} deg with a residual gap of "
         f"{np.abs(error).max():.3g} mm: reduce the flexion"
     )
 
 
 def _measure_gaps_mm(at: Pose, sides: list[Array], surface: LinearNDInterpolator) -> tuple[Array, Array]:
-    """Measure the smallest gap above the plateau in each compartment (2,), and its position in x (2,), mm.
+    """Measure the smallest gap above the plateau in each compartment (2,) and its position in x (2,), in mm.
 
-    `sides` are points (n, 3) of the femur of each compartment, mm. `surface` gives the height of the plateau.
+    `sides` are points (n, 3) on the medial and lateral femur, in mm. `surface` gives the height of the plateau.
     """
     frame = at.femur_to_tibia_transform()
     heights, x = [], []
@@ -104,7 +107,7 @@ def _measure_gaps_mm(at: Pose, sides: list[Array], surface: LinearNDInterpolator
 
 
 def _select_highest_points(places: Array) -> tuple[Array, Array]:
-    """Select the highest point per grid cell from points (n, 3); return x and y (m, 2) and z (m,), mm."""
+    """Select the highest point per grid cell from points (n, 3), and return its x and y (m, 2) and z (m,), in mm."""
     cell = np.floor(places[:, :2] / _CELL_MM).astype(np.int64)
     order = np.lexsort((-places[:, 2], cell[:, 1], cell[:, 0]))
     first = np.ones(len(order), np.bool_)

@@ -36,36 +36,39 @@ from ..template.bone_builder import (
 )
 from .subluxation import SubluxedPose
 
-# Point on the flexion axis of the template femur, the centre of the round posterior condyles, mm.
+# Point on the flexion axis of the template femur: the centre of the round posterior condyles, in mm.
 _PIVOT_MM = (0.0, 2.0, 23.0)
-# Height below which the femur may bound the joint space, mm.
+# Height below which the femur can bound the joint space, in mm.
 _FEMUR_BELOW_MM = 24.0
-# Height above which the tibia may bound the joint space, mm.
+# Height above which the tibia can bound the joint space, in mm.
 _TIBIA_ABOVE_MM = -14.0
 # Tolerance of the JSW, mm.
 _TOLERANCE_MM = 1e-4
-# Tolerance for the height of the joint line above the origin, mm. Within this tolerance, the tibia is not moved
-# further, because every move makes landmarks on the plateau floor jump slightly.
+# First tolerance for the height of the joint line above the origin, in mm. Within this tolerance, the tibia is not
+# moved further, because each move shifts landmarks on the plateau floor abruptly.
 _LEVEL_MM = 0.02
-# First iteration with the second tolerance. The tolerance is relaxed in case these jumps prevent convergence.
+# First iteration with the second tolerance for the height of the joint line. A larger tolerance helps if landmark
+# shifts prevent convergence.
 _LEVELLED = 8
-# Second tolerance, mm.
+# Second tolerance for the height of the joint line above the origin, in mm.
 _NEARLY_LEVEL_MM = 0.2
-# First iteration with the third tolerance.
+# First iteration with the third tolerance for the height of the joint line.
 _GIVEN_UP = 16
-# Third tolerance, mm.
+# Third tolerance for the height of the joint line above the origin, in mm.
 _FAR_FROM_LEVEL_MM = 1.0
-# Largest number of iterations.
+# Largest number of Newton iterations without wear.
 _MAX_ITERATIONS = 40
-# Largest JSW at which an overlap of the bones is considered, mm.
+# JSW above which the bones cannot overlap and wear is not computed, in mm.
 _NEAR_MM = 3.0
-# Largest number of iterations with wear.
+# Largest number of iterations that refine the pose with wear.
 _WORN_TURNS = 16
 # Distance from the joint at which the bones are cut off before wear is computed, mm.
 _SOLID_MM = 45.0
-# Maps a pose to medial and lateral JSW (2,), mm, their positions in x (2,), mm, and the height of the joint line, mm.
+# A pose measure maps a pose to medial and lateral JSW (2,), in mm, their positions in x (2,), in mm, and the height of
+# the joint line, in mm.
 PoseMeasure = Callable[[Pose], tuple[Array, Array, float]]
-# Maps a pose, the plateau in this pose and the mesh edges of the plateau to the results of a `PoseMeasure`.
+# A plateau measure maps a pose, the plateau in this pose and the mesh edges of the plateau to the results of a
+# `PoseMeasure`.
 PlateauMeasure = Callable[[Pose, Mesh, Indices], tuple[Array, Array, float]]
 
 
@@ -76,7 +79,7 @@ def solve_pose(
     tibia: BoneWithOsteophytes,
     protocol: Protocol,
 ) -> Pose:
-    """Find the tilt and height of the femur that give both compartments their JSW, by Newton's method.
+    """Find the tilt and height of the femur that give the specified JSW in both compartments, by Newton's method.
 
     Parameters
     ----------
@@ -89,7 +92,7 @@ def solve_pose(
     tibia : BoneWithOsteophytes
         Outer tibia with osteophytes.
     protocol : Protocol
-        Protocol under which the JSW of the knee is defined. The resulting pose has the posture of this protocol.
+        Protocol that defines the JSW of the knee. The resulting pose has the posture of this protocol.
 
     Returns
     -------
@@ -99,7 +102,8 @@ def solve_pose(
     Raises
     ------
     InputError
-        No pose gives both the medial and the lateral JSW. The ranges of `Knee` exclude this case.
+        If no pose gives both the medial and the lateral JSW. Values within the ranges of `Knee` do not cause this
+        error.
     """
     posture = protocol.posture
     wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
@@ -124,7 +128,10 @@ def solve_pose(
 
 
 def _solve_for_spaces(knee: Knee, measure: PoseMeasure, pose: Pose) -> Pose:
-    """Solve for the JSW of both compartments by Newton's method, with the joint line at the height of the origin."""
+    """Find the pose with the specified JSW in both compartments, by Newton's method.
+
+    In this pose, the joint line is at the height of the origin.
+    """
     wanted = np.array([knee.jsw_medial_mm, knee.jsw_lateral_mm])
     for turn in range(_MAX_ITERATIONS):
         level_mm = _select_level_tolerance_mm(turn)
@@ -137,13 +144,13 @@ def _solve_for_spaces(knee: Knee, measure: PoseMeasure, pose: Pose) -> Pose:
             better = replace(better, shift_mm=pose.shift_mm - high - (better.raise_mm - pose.raise_mm) / 2)
         pose = better
     raise InputError(
-        f"jsw_medial_mm and jsw_lateral_mm must be possible in one pose, got {knee.jsw_medial_mm} mm and "
+        f"jsw_medial_mm and jsw_lateral_mm must be possible in the same pose, got {knee.jsw_medial_mm} mm and "
         f"{knee.jsw_lateral_mm} mm with a residual of {np.abs(error).max():.3g} mm: choose values closer to each other"
     )
 
 
 def _refine_for_wear(target_jsw_mm: Array, measure: PoseMeasure, pose: Pose) -> Pose:
-    """Refine the pose so that the JSW (2,) over the worn plateau is closest to its target, mm.
+    """Refine the pose until the JSW (2,) over the worn plateau is closest to its target, in mm.
 
     A lower femur wears the plateau deeper, so the JSW changes by less than the step. If a step removes less than half
     of the error, the next step is doubled.
@@ -218,7 +225,7 @@ def _measure_spaces(
     plateau: Mesh,
     edges: Indices,
 ) -> tuple[Array, Array, float]:
-    """Measure the JSW on the detector as vertical gaps from the femur to the tibial contour or plateau floor.
+    """Measure the JSW on the detector as the vertical gap between the femur and the tibial contour or plateau floor.
 
     `lower_femur` is the result of `_select_lower_femur`. `plateau` is the posed upper tibia; `edges` (m, 2) are its
     mesh edges.
@@ -235,7 +242,7 @@ def _measure_spaces(
 
 
 def _select_lower_femur(femur: BoneWithOsteophytes, bone_parameters: BoneParameters) -> tuple[Array, Indices]:
-    """Return vertices (n, 3), mm, at the size of the knee and edges (m, 2) of the lower end of the femur."""
+    """Return the vertices (n, 3), in mm at the size of the knee, and the edges (m, 2) of the lower end of the femur."""
     edges = find_closed_mesh_edges(femur.mesh.faces)
     lower = edges[(femur.mesh.vertices[edges, 2] < _FEMUR_BELOW_MM).any(axis=1)]
     return femur.deformed_vertices_mm * bone_parameters.scale, lower
@@ -248,7 +255,7 @@ def _select_upper_tibia(tibia: BoneWithOsteophytes, bone_parameters: BoneParamet
 
 
 def _compute_joint_line_height_mm(gaps: list, view: View) -> float:
-    """Compute the height of the centre of the joint line above the origin in the joint plane, mm."""
+    """Compute the height of the joint line centre above the origin in the joint plane, in mm."""
     origin_row = project_points(np.zeros((1, 3)), view)[0, 0]
     rows = np.mean([gap.middle_px()[0] for gap in gaps])
     return float((origin_row - rows) * view.pixel_mm / magnification(view))

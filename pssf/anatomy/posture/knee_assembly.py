@@ -30,7 +30,7 @@ class KneeAssembly:
     Attributes
     ----------
     jsw_protocol : Protocol
-        Protocol under which the JSW is defined.
+        Protocol that defines the JSW.
     jsw_pose : Pose
         Pose of the leg under `jsw_protocol`.
     posture : Posture
@@ -44,8 +44,8 @@ class KneeAssembly:
     pose : Pose
         Pose of the leg in `posture`.
     mirror : (float, float, float)
-        Factors of 1 or -1 in x, y and z. A left knee is mirrored in x. A view from the opposite direction is mirrored
-        in y.
+        Factors of +1 or -1 along x, y and z. A left knee is mirrored along x. A view from the opposite direction is
+        mirrored along y.
     view_rotation : (3, 3) float64 array or None
         Rotation of the leg into the view, before mirroring. None in a frontal view.
     """
@@ -162,12 +162,12 @@ class KneeAssembly:
         return Mesh(self.orient_points(mesh.vertices), faces)
 
 
-# Name of the protocol that defines the JSW, keyed by `Knee.jsw_definition`.
+# Name of the protocol that defines JSW for each value of `Knee.jsw_definition`.
 _JSW_PROTOCOLS = {"projected": "reference", "read": "fixed_flexion"}
 
 
 def load_jsw_protocol(knee: Knee) -> Protocol:
-    """Load the protocol that defines the JSW of a knee, as named by `knee.jsw_definition`.
+    """Load the protocol that defines JSW for the value of `knee.jsw_definition`.
 
     Parameters
     ----------
@@ -177,13 +177,14 @@ def load_jsw_protocol(knee: Knee) -> Protocol:
     Returns
     -------
     Protocol
-        Protocol "reference" for projected JSW, or "fixed_flexion" for JSW as readers measure it.
+        Protocol "reference" for JSW measured between projected contours, or "fixed_flexion" for JSW as readers measure
+        it.
     """
     return load_protocol(_JSW_PROTOCOLS[knee.jsw_definition])
 
 
 def assemble_knee(knee: Knee, bone_parameters: BoneParameters, posture: Posture, protocol: Protocol) -> KneeAssembly:
-    """Pose the bones of a knee in a posture.
+    """Assemble the bones of a knee in a posture.
 
     Parameters
     ----------
@@ -194,7 +195,7 @@ def assemble_knee(knee: Knee, bone_parameters: BoneParameters, posture: Posture,
     posture : Posture
         Posture of the leg.
     protocol : Protocol
-        Protocol under which the JSW is defined, from `load_jsw_protocol`.
+        Protocol that defines the JSW, from `load_jsw_protocol`.
 
     Returns
     -------
@@ -204,7 +205,8 @@ def assemble_knee(knee: Knee, bone_parameters: BoneParameters, posture: Posture,
     Raises
     ------
     InputError
-        No pose gives the JSW, the femur cannot rest on the tibia in this flexion, or one osteophyte hides another.
+        If no pose gives the JSW, if the femur cannot rest on the tibia in this flexion, or if one osteophyte hides
+        another osteophyte.
     """
     prepare_template_bones(bone_parameters)
     femur = grow_femur_osteophytes(bone_parameters, knee.osteophytes)
@@ -223,8 +225,8 @@ def assemble_knee(knee: Knee, bone_parameters: BoneParameters, posture: Posture,
         )
         return flex_pose(defined, *vertices, bone_parameters.half_ml_mm, further)
 
-    # The femur is tilted to reach the JSW. The valgus of its shaft compensates this tilt, so `varus_deg` remains the
-    # angle between the shafts of a straight leg.
+    # The femur is tilted to reach the JSW. The valgus angle of its shaft compensates for the tilt, so `varus_deg`
+    # remains the angle between the shafts of a straight leg.
     straight = at(0.0)
     bone_parameters = replace(bone_parameters, femur_valgus_deg=bone_parameters.femur_valgus_deg + straight.tilt_deg)
     pose = replace(

@@ -45,19 +45,19 @@ def place_bones(
     assembly : KneeAssembly
         Bones and their pose.
     cortex_depths_mm : two (n,) float64 arrays
-        Thickness of cortex and plate of femur and tibia, in mm, from `compute_cortex_depths_mm`.
+        Thickness of cortex and subchondral bone plate of femur and tibia, in mm, from `compute_cortex_depths_mm`.
     executor : concurrent.futures.Executor
-        Executor for work that can run in parallel.
+        Executor for parallel computations.
 
     Returns
     -------
     dict of str to PlacedBone
-        Femur, tibia, fibula and patella, and the fabella if the knee has one.
+        Femur, tibia, fibula and patella, and the fabella if present.
 
     Raises
     ------
     InputError
-        A solid is not valid, a bone cannot be placed, or the plateau would be worn too deeply.
+        If a solid is not valid, if a bone cannot be placed, or if the plateau would be worn too deeply.
     """
     build, pose = assembly.bone_parameters, assembly.pose
     femur = bone_shells.build_femur(build, assembly.femur, cortex_depths_mm[0])

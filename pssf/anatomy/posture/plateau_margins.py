@@ -1,8 +1,8 @@
 """Plateau margins: anterior and posterior margin of a tibial compartment, and beam alignment with the plateau.
 
-A margin is defined in a sagittal section of the compartment. It is the point where a line at 30 degrees to the
-horizontal of the tibia touches the bone from above, anteriorly or posteriorly. The section is halfway between spine and
-edge, where readers judge the alignment of a radiograph.
+A margin is defined in a sagittal section of the compartment. The margin is the point at which a line at 30 degrees to
+the horizontal of the tibia touches the bone from above, anteriorly or posteriorly. The section is halfway between spine
+and edge, where readers judge the alignment of a radiograph.
 """
 
 from dataclasses import replace
@@ -27,7 +27,7 @@ from .knee_assembly import KneeAssembly
 
 # Angle between the horizontal of the tibia and the tangent at a margin, degrees. The edge landmarks use the same angle.
 _TANGENT_DEG = 30.0
-# Height in the frame of the tibia above which a point belongs to the plateau, mm.
+# Height in the frame of the tibia above which points belong to the plateau, in mm.
 _MIN_PLATEAU_Z_MM = -30.0
 # Tolerance of the beam angle, degrees.
 _TOLERANCE_DEG = 1e-6
@@ -62,14 +62,17 @@ def find_plateau_margins(assembly: KneeAssembly, tibia: Mesh, side: str) -> Arra
 
 
 def _cut_section(points: Array, faces: Indices, x: float) -> Array:
-    """Intersect the mesh edges with the plane at `x`; return y and z (n, 2) of the points above the shaft, mm."""
+    """Intersect the mesh edges with the plane at `x`.
+
+    Return y and z (n, 2) of the intersection points above the shaft, in mm.
+    """
     starts, ends, share = find_crossing_sides(points[:, 0], faces, x)
     places = points[starts, 1:] + share[:, None] * (points[ends, 1:] - points[starts, 1:])
     return np.asarray(places[points[starts, 2] > _MIN_PLATEAU_Z_MM])
 
 
 def measure_inter_margin_mm(assembly: KneeAssembly, tibia: Mesh, view: View) -> float:
-    """Measure the height difference of the margins of the medial plateau on the radiograph.
+    """Measure the height of the anterior margin of the medial plateau above its posterior margin on the radiograph.
 
     Parameters
     ----------
@@ -83,16 +86,17 @@ def measure_inter_margin_mm(assembly: KneeAssembly, tibia: Mesh, view: View) -> 
     Returns
     -------
     float
-        Height of the anterior margin above the posterior margin, scaled to the joint plane, in mm.
+        Height difference between the anterior and the posterior margin, scaled to the joint plane, in mm. It is
+        positive if the anterior margin is higher.
 
     Raises
     ------
     InputError
-        The posture is not frontal (AP or PA), so the plateau is not projected edge-on.
+        If the view is not frontal (AP or PA), so the plateau is not projected edge-on.
     """
     if not assembly.posture.is_frontal:
         raise InputError(
-            f"projection must be AP or PA, where the plateau is projected edge-on, got {assembly.posture.projection!r}"
+            f"projection must be AP or PA to project the plateau edge-on, got {assembly.posture.projection!r}"
         )
     (front, back), _ = project_points(assembly.orient_points(find_plateau_margins(assembly, tibia, "medial")), view).T
     return float((back - front) * view.pixel_mm / magnification(view))
@@ -108,7 +112,7 @@ def align_beam_with_plateau(assembly: KneeAssembly, tibia: Mesh, protocol: Proto
     tibia : Mesh
         Outer surface of the posed tibia in the knee frame, before view rotation and mirroring, in mm.
     protocol : Protocol
-        Protocol whose `beam_angle_deg` is relative to the direction of the plateau.
+        Protocol whose `beam_angle_deg` is relative to the plateau.
     range_deg : (float, float)
         Smallest and largest allowed beam angle, in degrees.
 
@@ -120,7 +124,7 @@ def align_beam_with_plateau(assembly: KneeAssembly, tibia: Mesh, protocol: Proto
     Raises
     ------
     InputError
-        No beam angle in the range is parallel to the plateau.
+        If no beam angle within the range is parallel to the plateau.
     """
     level = replace(protocol, beam_along="horizontal")
 
@@ -130,8 +134,8 @@ def align_beam_with_plateau(assembly: KneeAssembly, tibia: Mesh, protocol: Proto
     low, high = (apart_mm(angle) for angle in range_deg)
     if low * high > 0:
         raise InputError(
-            f"posture must allow beam_along = {protocol.beam_along!r} with a beam angle between {range_deg[0]:g} and "
-            f"{range_deg[1]:g} deg, got plateau margins {low:.1f} and {high:.1f} mm apart at these angles"
+            f"beam_along must be 'horizontal' in this posture, got {protocol.beam_along!r}: at beam angles of "
+            f"{range_deg[0]:g} and {range_deg[1]:g} deg, the plateau margins are {low:.1f} and {high:.1f} mm apart"
         )
     fitted = brentq(apart_mm, *range_deg, xtol=_TOLERANCE_DEG) + protocol.beam_angle_deg
     return replace(level, beam_angle_deg=round(float(fitted), 4))

@@ -26,11 +26,11 @@ from ..template.template_tibia import make_distance_field as tibia_field
 # Smallest distance from the surface without osteophytes at which a vertex belongs to an osteophyte, in mm. Osteophytes
 # have no cartilage.
 _BONE_TOLERANCE_MM = 0.02
-# Number of triangle rings around an osteophyte that have no cartilage either.
+# Number of triangle rings around an osteophyte that also have no cartilage.
 _OSTEOPHYTE_RINGS = 3
-# Smallest thickness of a cartilage layer, in mm at template size; a thinner layer is removed.
+# Smallest thickness of a cartilage layer, in mm at template size. Thinner cartilage is removed.
 _MIN_THICKNESS_MM = 0.05
-# Largest number of times that the thickness is halved where the layer folds.
+# Largest number of times that the cartilage thickness is halved where the layer folds.
 _MAX_THINNINGS = 12
 
 
@@ -45,7 +45,7 @@ class CartilageLayer:
     top : (n, 3) float64 array
         Bone vertices moved outward by the thickness of the cartilage, in mm. Vertices without cartilage are unchanged.
     faces : (m, 3) integer array
-        Vertex indices of the triangles, wound outward. Both surfaces have the same triangles.
+        Vertex indices of the triangles, with outward winding. Both surfaces have the same triangles.
     """
 
     bone: Array
@@ -74,17 +74,17 @@ class CartilageLayer:
 
     @property
     def has_cartilage(self) -> NDArray[np.bool_]:
-        """(n,) bool array: True for each vertex that has cartilage."""
+        """Array (n,) of bool: True for each vertex that has cartilage."""
         return np.asarray((self.top != self.bone).any(axis=1))
 
     def select_cartilage_faces(self) -> Indices:
-        """List the faces of the cartilage layer as a closed surface of its own.
+        """List the faces of the cartilage layer as a closed surface.
 
         Returns
         -------
         (k, 3) integer array
-            Vertex indices into the bone vertices followed by the top vertices. The underside of the layer has the same
-            triangles as the bone surface.
+            Vertex indices of the triangles. They refer to the bone vertices followed by the top vertices. The underside
+            of the layer has the same triangles as the bone surface.
         """
         thick = self.has_cartilage
         # The layer has no thickness at its margin, so margin vertices belong to both surfaces and close the layer.
@@ -103,12 +103,12 @@ def build_femoral_cartilage(
     outer : Mesh
         Outer surface of the femur with its osteophytes, at template size, in mm.
     shape : TemplateAnatomy
-        Template anatomy, including the limits of the articular surface.
+        Template anatomy with the limits of the articular surface.
     scale : float
         Size of the bones relative to the template.
     jsw_mm : tuple of float
-        Medial and lateral JSW of the knee, in mm. The thickness of the layer is the fraction ``shape.cartilage.share``
-        of the JSW.
+        Medial and lateral JSW of the knee, in mm. The layer thickness is the JSW multiplied by the fraction
+        ``shape.cartilage.share``.
 
     Returns
     -------
@@ -138,12 +138,12 @@ def build_tibial_cartilage(
     outer : Mesh
         Outer surface of the tibia with its osteophytes, at template size and without tibial slope, in mm.
     shape : TemplateAnatomy
-        Template anatomy, including the ellipses of cartilage on the plateau.
+        Template anatomy with the ellipses that bound the cartilage on the plateau.
     scale : float
         Size of the bones relative to the template.
     jsw_mm : tuple of float
-        Medial and lateral JSW of the knee, in mm. The thickness of the layer is the fraction ``shape.cartilage.share``
-        of the JSW.
+        Medial and lateral JSW of the knee, in mm. The layer thickness is the JSW multiplied by the fraction
+        ``shape.cartilage.share``.
 
     Returns
     -------
@@ -188,7 +188,7 @@ def build_menisci(table: Menisci, scale: float) -> list[Manifold]:
 
 
 def _make_full_thickness_mm(shape: TemplateAnatomy, scale: float, jsw_mm: tuple[float, float]) -> ScalarField:
-    """Return a function that maps points (n, 3) to the layer thickness (n,) away from the margin.
+    """Make a function that maps points (n, 3) to the layer thickness (n,) away from the margin.
 
     All lengths are in mm at template size.
     """
@@ -228,9 +228,10 @@ def _build_layer(outer: Mesh, field: ScalarField, margin_distance: ScalarField, 
         if not len(folded):
             break
         thickness[folded] /= 2
-        # The other triangles do not fold and need no further check.
+        # Triangles without folded vertices do not fold and need no further check.
         suspect = suspect[np.isin(suspect, folded).any(axis=1)]
-    # A thinner layer is in a crease of the bone and would cross the opposite wall of the crease.
+    # Cartilage below the smallest thickness is in a crease of the bone and would intersect the opposite wall of the
+    # crease.
     thickness[thickness < _MIN_THICKNESS_MM] = 0.0
     while len(pinched := _find_pinched_vertices(faces, thickness > 0)):
         around = np.isin(np.arange(len(points)), pinched)
@@ -265,7 +266,10 @@ def _find_folded_vertices(bone: Array, top: Array, faces: Indices) -> NDArray[np
 
 
 def _find_pinched_vertices(faces: Indices, thick: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Find vertices without thickness on edges with cartilage on both sides, where the layer would touch itself."""
+    """Find vertices with zero thickness on edges that have cartilage on both sides.
+
+    The layer would touch itself at these vertices.
+    """
     chosen = faces[thick[faces].any(axis=1)]
     edges = np.sort(np.vstack((chosen[:, [0, 1]], chosen[:, [1, 2]], chosen[:, [2, 0]])), axis=1)
     edges, count = np.unique(edges[~thick[edges].any(axis=1)], axis=0, return_counts=True)

@@ -19,16 +19,16 @@ from ..posture.knee_assembly import KneeAssembly
 from . import cartilage_and_menisci
 from .tendons_and_fat_pad import build_fat_pad, build_patellar_tendon, build_quadriceps_tendon
 
-# Smallest volume of a part, in mm3. Subtraction leaves smaller splinters, which are removed.
+# Smallest volume of a tissue component, in mm3. Subtraction leaves smaller splinters, which are removed.
 _MIN_PART_MM3 = 1.0
-# Largest shared volume of two solids that counts as a rounding error and not as overlap, in mm3.
+# Largest overlap volume of two solids that counts as a rounding error, in mm3.
 _MIN_OVERLAP_MM3 = 1e-6
-# JSW, in mm, below which the cartilage of one bone may overlap the other bone outside the range where JSW is measured.
+# JSW below which the cartilage of one bone may overlap the other bone outside the JSW measurement range, in mm.
 _NARROW_JSW_MM = 3.0
-# Tolerance for simplifying the fat mesh, in mm. It is smaller than the margin between the fat and other tissue. Muscle
-# edges need no finer mesh, because a ray through such an edge crosses centimetres of other tissue.
+# Tolerance for simplifying the fat mesh, in mm. It is smaller than the margin between fat and other tissue. Muscle
+# edges need no finer mesh, because a ray through a muscle edge also passes through centimetres of other tissue.
 _SIMPLIFY_TOLERANCE_MM = 0.1
-# Largest distance of soft tissue above and below the joint line, in mm.
+# Largest distance of soft tissue from the joint line, upwards and downwards, in mm.
 _MAX_HEIGHT_MM = 230.0
 
 
@@ -76,7 +76,7 @@ def build_cartilage(knee: Knee, assembly: KneeAssembly) -> tuple[CoveredBone, Co
     Parameters
     ----------
     knee : Knee
-        Parameters of the knee, which give the medial and lateral JSW.
+        Parameters of the knee, including the medial and lateral JSW.
     assembly : KneeAssembly
         Bones of the knee and their pose.
 
@@ -113,7 +113,7 @@ def build_joint_tissues(
     muscle: Manifold,
     fat: Manifold,
 ) -> list[SoftTissuePart]:
-    """Build cartilage, menisci, tendons, fat pad and intermuscular fat so that no two of them overlap.
+    """Build cartilage, menisci, tendons, fat pad and intermuscular fat without overlap.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def build_joint_tissues(
     Returns
     -------
     list of SoftTissuePart
-        Parts in the knee frame; the intermuscular fat is last.
+        Soft tissues in the knee frame; the intermuscular fat is last.
 
     Raises
     ------
@@ -179,8 +179,8 @@ def _carve_intermuscular_fat(
 ) -> SoftTissuePart:
     """Subtract bones, joint tissues and tendon sheaths from the fat between the muscles.
 
-    Bones and joint tissues are enlarged by `cover` (rows of height and thickness, in mm). No face of the fat therefore
-    coincides with a face of another tissue. Rounding could make coinciding faces overlap.
+    Bones and joint tissues are enlarged by `cover` (rows of height and thickness, in mm). Without this enlargement,
+    faces of the fat and of other tissues would coincide, and rounding could make them overlap.
     """
     meshes = {name: extract_mesh(bone.outer) for name, bone in placed_bones.items()} | {
         part.name: part.mesh for part in parts
@@ -189,7 +189,7 @@ def _carve_intermuscular_fat(
     for name in ("patellar_tendon", "quadriceps_tendon", "fat_pad"):
         meshes.pop(name, None)
     small = [[meshes.pop(name)] for name in placed_bones if name not in ("femur", "tibia", "patella")]
-    # The remaining meshes are femur, tibia, their cartilage and the menisci. These meshes get one common cover, which
+    # The remaining meshes are the femur, the tibia, their cartilage and the menisci. They get one common cover, which
     # also fills the joint space.
     covers = [
         build_envelope(group, cover, "cover of bones", _MAX_HEIGHT_MM)
@@ -201,7 +201,7 @@ def _carve_intermuscular_fat(
 
 
 def _add_effusion_cover(cover: Rows, effusion_profile: Rows, effusion_mm: float) -> Rows:
-    """Add the thickness of an effusion to the tissue cover; return rows of height and thickness, in mm."""
+    """Add the thickness of an effusion to the tissue cover, and return rows of height and thickness, in mm."""
     if effusion_mm == 0:
         return cover
     usual, swollen = (np.array(sorted(rows)).T for rows in (cover, effusion_profile))
@@ -213,12 +213,15 @@ def _add_effusion_cover(cover: Rows, effusion_profile: Rows, effusion_mm: float)
 def _carve_cartilage(
     femoral: SoftTissuePart, tibial: SoftTissuePart, placed_bones: dict[str, bone_shells.Bone], narrow: bool
 ) -> list[SoftTissuePart]:
-    """Subtract the patella from the femoral cartilage and, in a narrow joint, the opposite bone from each cartilage."""
+    """Subtract the patella from the femoral cartilage.
+
+    If the joint is narrow, also subtract the opposite bone from each cartilage.
+    """
     parts = [part for part in (femoral, tibial) if len(part.mesh.faces)]
     takes: dict[str, list[Manifold]] = {part.name: [] for part in parts}
     patella = placed_bones["patella"].outer
-    # The femoral cartilage rarely touches the patella. The test of the meshes takes a fifth of the time of building a
-    # solid.
+    # The femoral cartilage rarely touches the patella, and testing the meshes takes a fifth of the time needed to build
+    # a solid.
     if femoral in parts and not are_meshes_disjoint(femoral.mesh, extract_mesh(patella)):
         takes[femoral.name].append(patella)
     met = parts if narrow else [part for part in parts if takes[part.name]]
@@ -242,7 +245,10 @@ def _carve_cartilage(
 def _carve_parts(
     tissues: list[tuple[str, str, Manifold]], obstacles: list[Manifold], muscle: Manifold
 ) -> list[SoftTissuePart]:
-    """Crop tissues (name, material, solid) to the fascia; subtract obstacles and earlier tissues from each tissue."""
+    """Crop tissues to the fascia, and subtract obstacles and earlier tissues from each tissue.
+
+    Each tissue is a tuple of name, material and solid.
+    """
     apart: list[Manifold] = []
     for _, _, solid in tissues:
         left = solid ^ muscle
@@ -260,8 +266,8 @@ def _carve_parts(
 def _subtract_bones(solids: list[Manifold], bones: list[Manifold]) -> list[Manifold]:
     """Subtract bones from solids.
 
-    Solids that do not touch each other are cut together. This reduces the number of Boolean operations on bones, which
-    have far more faces.
+    Solids that do not touch each other are cut in one operation, because bones have many more faces and each Boolean
+    operation on them is slow.
     """
     left = list(range(len(solids)))
     carved = list(solids)
@@ -275,15 +281,15 @@ def _subtract_bones(solids: list[Manifold], bones: list[Manifold]) -> list[Manif
         whole = Manifold.compose(list(own.values()))
         for bone in _select_touching(whole, bones):
             whole = whole - bone
-            # The status call evaluates the subtraction. Otherwise, manifold3d unites all bones first, which doubles the
-            # time.
+            # Calling `status` evaluates the subtraction immediately. Otherwise, manifold3d would first unite all bones,
+            # which doubles the time.
             whole.status()
         whose = {solid.original_id(): i for i, solid in own.items()}
         pieces: dict[int | None, list[Manifold]] = {i: [] for i in (None, *group)}
         for piece in whole.decompose():
             pieces[_find_source_solid(piece, whose)].append(piece)
         for i in group:
-            if pieces[None]:  # A splinter or cavity with only bone faces has no source.
+            if pieces[None]:  # A splinter or cavity that has only bone faces has no source solid.
                 carved[i] = Manifold.batch_boolean([solids[i], *_select_touching(solids[i], bones)], OpType.Subtract)
             else:
                 carved[i] = Manifold.compose(pieces[i])
@@ -291,14 +297,14 @@ def _subtract_bones(solids: list[Manifold], bones: list[Manifold]) -> list[Manif
 
 
 def _find_source_solid(piece: Manifold, owners: dict[int, int]) -> int | None:
-    """Return the index of the source solid of a component, or None if all faces of the component come from bones.
+    """Return the index of the solid from which a component was cut, or None if all its faces come from bones.
 
     `owners` maps the original id of each solid to its index.
     """
     mesh = piece.to_mesh64()
     faces = zip(mesh.run_original_id, np.diff(mesh.run_index), strict=True)
     solids = {owners[source] for source, count in faces if count and source in owners}
-    assert len(solids) <= 1, "solids that touch each other were carved together"
+    assert len(solids) <= 1, "solids that touch each other were cut in one operation"
     return solids.pop() if solids else None
 
 
@@ -309,9 +315,9 @@ def _find_patella_poles(patella: Manifold) -> tuple[Array, Array]:
 
 
 def _build_patellar_cartilage(patella: Manifold, table: PatellaShape, scale: float, frame: Array) -> Manifold:
-    """Build the patellar cartilage as a layer behind the patella, before bones are subtracted.
+    """Build the patellar cartilage as a layer behind the patella, before bones are subtracted from it.
 
-    `frame` is the (3, 4) transform of the femur into the knee frame, in mm.
+    `frame` (3, 4) is the transform of the femur into the knee frame, in mm.
     """
     back, up = frame[:, 1], frame[:, 2]
     heights = extract_mesh(patella).vertices @ up
@@ -320,7 +326,7 @@ def _build_patellar_cartilage(patella: Manifold, table: PatellaShape, scale: flo
 
 
 def _select_touching(solid: Manifold, others: list[Manifold]) -> list[Manifold]:
-    """Select the solids whose bounding boxes overlap the bounding box of a given solid."""
+    """Select the solids whose bounding boxes overlap the bounding box of another solid."""
     box = np.array(solid.bounding_box())
     boxes = [np.array(other.bounding_box()) for other in others]
     meet = [(b[:3] < box[3:]).all() and (box[:3] < b[3:]).all() for b in boxes]

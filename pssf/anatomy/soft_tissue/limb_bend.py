@@ -9,24 +9,28 @@ from ...core.checks import Array, InputError
 
 # Posterior coordinate of the flexion axis of limb and femur in the template anatomy, in mm.
 _PIVOT_Y_MM = 4.0
-# Proximal coordinate of the flexion axis, in mm.
+# Proximal coordinate of the flexion axis of limb and femur in the template anatomy, in mm.
 _PIVOT_Z_MM = 23.0
 # Length of the arc along which the limb bends, at template size, in mm.
 _ARC_MM = 140.0
-# Largest flexion at which the limb is only sheared, level by level, in degrees. Shearing approximates bending and thins
-# the limb by the cosine of the angle.
+# Largest flexion that is modelled entirely by shearing the limb in horizontal slices, in degrees. Shearing approximates
+# bending and thins the limb by the cosine of the flexion.
 _SHEARED_TO_DEG = 40.0
-# Smallest flexion at which the limb is only bent, in degrees. Between the two angles, the shear decreases linearly.
+# Smallest flexion that is modelled entirely by bending the limb, in degrees. Between the largest sheared and the
+# smallest bent flexion, the shear decreases linearly.
 _BENT_FROM_DEG = 45.0
-# Longest edge of a bent mesh, in mm. An arc then deviates from its chord by less than the fascia thickness.
+# Largest edge length of a bent mesh, in mm. The distance between an arc and its chord is then below the fascia
+# thickness.
 _MAX_EDGE_MM = 9.0
-# Smallest distance of the skin behind the knee from the centre of the arc, as a fraction of the arc radius. The skin
-# would fold at the centre.
+# Smallest distance of the skin behind the knee from the arc centre, as a fraction of the arc radius. At the arc centre,
+# the skin would fold.
 _MIN_RADIUS_FRACTION = 0.1
 
 
 def shear_angle_deg(flexion_deg: float) -> float:
-    """Return the part of the flexion angle that is modelled by shearing the limb; bending models the rest.
+    """Return the portion of the flexion angle that is modelled by shearing the limb.
+
+    Bending models the remaining angle.
 
     Parameters
     ----------
@@ -36,7 +40,7 @@ def shear_angle_deg(flexion_deg: float) -> float:
     Returns
     -------
     float
-        Shear angle, in degrees: all of the flexion up to 40 degrees, 0 from 45 degrees on.
+        Shear angle, in degrees. It equals the flexion up to 40 degrees and is 0 from 45 degrees.
     """
     left = (_BENT_FROM_DEG - flexion_deg) / (_BENT_FROM_DEG - _SHEARED_TO_DEG)
     return flexion_deg if flexion_deg <= _SHEARED_TO_DEG else _SHEARED_TO_DEG * max(0.0, left)
@@ -44,9 +48,9 @@ def shear_angle_deg(flexion_deg: float) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class LimbBend:
-    """Arc in the sagittal plane that bends a straight limb backwards.
+    """Arc in the sagittal plane along which a straight limb is bent backwards.
 
-    The limb keeps its shape below the arc and continues straight above it.
+    Below the arc, the limb keeps its shape; above the arc, it continues straight.
 
     Parameters
     ----------
@@ -66,7 +70,7 @@ class LimbBend:
 
     @property
     def _centre_mm(self) -> Array:
-        """Centre (y, z) of the arc, in mm; both straight parts are aligned with the flexion axis."""
+        """Centre (y, z) of the arc, in mm. Both straight segments of the limb are aligned with the flexion axis."""
         half = np.deg2rad(self.angle_deg) / 2
         y, z = _PIVOT_Y_MM * self.scale, _PIVOT_Z_MM * self.scale
         return np.array([y + self._radius_mm, z - self._radius_mm * np.tan(half)])
@@ -96,7 +100,7 @@ class LimbBend:
         return moved
 
     def straighten_points(self, points: Array) -> Array:
-        """Map points of the bent limb to the straight limb; the inverse of `bend_points`.
+        """Map points of the bent limb to the straight limb (inverse of `bend_points`).
 
         Parameters
         ----------
@@ -126,12 +130,12 @@ class LimbBend:
         straight : Manifold
             Solid of the straight limb, in mm.
         name : str
-            Name of the solid for the error message.
+            Name of the solid in the error message.
 
         Returns
         -------
         Manifold
-            Bent solid, or the same solid if the angle is 0.
+            Bent solid, or unchanged `straight` if the angle is 0.
 
         Raises
         ------

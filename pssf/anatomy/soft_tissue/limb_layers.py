@@ -1,4 +1,4 @@
-"""Soft-tissue layers of a right knee: skin, subcutaneous fat and the compartment within the fascia."""
+"""Soft-tissue layers of a right knee: skin, subcutaneous fat and the volume within the fascia."""
 
 import numpy as np
 from manifold3d import Manifold
@@ -13,23 +13,23 @@ from .limb_bend import build_limb_bend, shear_angle_deg
 from .muscles import FASCIA_POWER, build_intermuscular_fat
 from .skin_folds import add_skin_folds
 
-# Smallest tissue thickness between bone and fascia, in mm. Over the patella and the tibial crest, tissue is hardly
-# thicker.
+# Smallest tissue thickness between bone and fascia, in mm. The tissue over the patella and the tibial crest is only
+# slightly thicker.
 _MIN_COVER_MM = 3.0
-# Height above the joint line from which the flexed thigh leans backwards, in mm.
+# Height above the joint line at which the backward lean of the flexed thigh begins, in mm.
 THIGH_START_Z_MM = 20.0
-# Tolerance for simplifying the meshes, in mm. The skin has little curvature along the leg.
+# Tolerance for simplifying the soft-tissue meshes, in mm. The skin has little curvature along the leg.
 _SIMPLIFY_TOLERANCE_MM = 0.03
 # Heights of the rings of the limb, in mm.
 _LEVELS_MM = np.linspace(-205.0, 205.0, 38)
-# Largest upward extension of the thigh, in mm. Flexion moves the end of the thigh towards the joint line; the extension
-# keeps this end out of the image.
+# Largest upward extension of the thigh, in mm. Flexion moves the end of the thigh towards the joint line. The extension
+# keeps the end outside the image.
 _LONGER_MM = 150.0
-# Extension per degree of bending, in mm.
+# Extension of the thigh per degree of bending, in mm.
 _LONGER_PER_DEG_MM = 4.0
-# Distance between the rings of the extension, in mm.
+# Distance between the rings of the thigh extension, in mm.
 _RING_MM = 11.0
-# Number of points per ring.
+# Number of points per ring of the limb.
 _COUNT = 64
 
 
@@ -45,16 +45,15 @@ def build_soft_tissue_layers(
     bone_parameters : BoneParameters
         Size, alignment and template anatomy of the bones.
     flexion_deg : float
-        Flexion of the femur, in degrees; the thigh follows it.
+        Flexion of the femur, in degrees. The thigh is flexed by the same angle.
     bone_points_mm : (n, 3) float64 array
-        Vertices of all bones in the frame of the leg, in mm. The limb is widened where it would not enclose these
-        vertices.
+        Vertices of all bones in the frame of the leg, in mm. The limb is widened where it would not enclose them.
 
     Returns
     -------
     dict of str to Manifold
-        ``"skin"``, ``"adipose"`` and ``"muscle"``, each as a solid up to its outer surface, and
-        ``"intermuscular_fat"`` inside ``"muscle"``. All solids are in the frame of the leg, in mm.
+        Solids ``"skin"``, ``"adipose"`` and ``"muscle"``, each of which includes all tissue inside its outer surface,
+        and ``"intermuscular_fat"``, which is inside ``"muscle"``. All solids are in the frame of the leg, in mm.
 
     Raises
     ------
@@ -71,8 +70,8 @@ def build_soft_tissue_layers(
     longer_mm = _compute_thigh_extension_mm(bend.angle_deg, float(straight_mm[:, 2].max()))
     rows += [[rows[-1][0] + longer_mm, *rows[-1][1:]]] if longer_mm else []
     coarse = _lean_with_shafts(np.array(rows), shear_angle_deg(flexion_deg), bone_parameters)
-    # The patella is anterior to the centre of the limb. A section that is too small for the bones therefore moves
-    # towards them before it widens.
+    # The patella is anterior to the limb centre. If a section is too small to enclose the bones, it is therefore moved
+    # towards them before it is widened.
     coarse = _add_effusion(_resample(coarse), bone_parameters.shape.effusion, knee.effusion_mm)
     fascia = _enclose_points(coarse - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), straight_mm)
     rings = np.append(_LEVELS_MM, np.arange(1.0, 1.0 + longer_mm // _RING_MM) * _RING_MM + _LEVELS_MM[-1])
@@ -98,7 +97,7 @@ def build_soft_tissue_layers(
 def _compute_thigh_extension_mm(angle_deg: float, femur_to_mm: float) -> float:
     """Return the length of the thigh above the highest ring of the limb, in mm.
 
-    A bent thigh needs this extension, and so does a femur that ends above the rings.
+    An extension is needed if the thigh is bent or if the femur ends above the rings.
     """
     over_mm = femur_to_mm + 2 * _MIN_COVER_MM - _LEVELS_MM[-1]
     held_mm = float(np.ceil(over_mm / _RING_MM)) * _RING_MM if over_mm > 0.0 else 0.0
@@ -125,7 +124,10 @@ def _add_effusion(sections: Array, table: EffusionShape, effusion_mm: float) -> 
 
 
 def _enclose_points(sections: Array, points_mm: Array) -> Array:
-    """Move and widen sections (n, 5) until they enclose all points (n, 3) with the smallest tissue thickness, in mm."""
+    """Move and widen sections (n, 5) until they enclose all points (n, 3), in mm.
+
+    The smallest allowed tissue thickness remains between points and sections.
+    """
     held = sections.copy()
     reach = np.abs(np.diff(sections[:, 0])).max() * 1.5
     bands = [points_mm[np.abs(points_mm[:, 2] - z) < reach] for z in sections[:, 0]]
@@ -140,14 +142,14 @@ def _enclose_points(sections: Array, points_mm: Array) -> Array:
             x = np.abs(near[:, 0] - held[k, 4]) / (held[k, 1] - _MIN_COVER_MM)
             y = np.abs(near[:, 1] - held[k, 3]) / (held[k, 2] - _MIN_COVER_MM)
             growth[k] = max(1.0, float((x**FASCIA_POWER + y**FASCIA_POWER).max() ** (1 / FASCIA_POWER)))
-    # A moving average of a moving maximum of the same width is smooth and never falls below the original growth factor.
+    # A moving average of a moving maximum with the same window is smooth and never below the original growth factor.
     growth = ndimage.uniform_filter1d(ndimage.maximum_filter1d(growth, 9, mode="nearest"), 9, mode="nearest")
     held[:, 1:3] *= growth[:, None]
     return held
 
 
 def _lean_with_shafts(sections: Array, flexion_deg: float, bone_parameters: BoneParameters) -> Array:
-    """Shift sections (n, 5) so that thigh and calf lean with the shafts of their bones."""
+    """Shift sections (n, 5) to make the thigh and the calf lean together with their bone shafts."""
     leaning = sections.copy()
     for axis, from_mm, degrees, end in (
         (4, 40.0, -bone_parameters.femur_valgus_deg * 0.6, +1),

@@ -34,9 +34,10 @@ def build_intermuscular_fat(
     fascia : (n, 5) float64 array, mm
         Sections of the fascia: z, half ML, half AP, centre y and centre x, in mm, in the order of increasing z.
     levels : (k,) float64 array, mm
-        Heights of the rings of the fascia, in mm. With other heights the fat could protrude from the fascia.
+        Heights of the rings of the fascia, in mm. The fat needs the same ring heights, because otherwise it could
+        protrude from the fascia.
     scale : float
-        Size of the bones relative to the template. The heights of the muscles scale with it.
+        Size of the bones relative to the template. The heights of the muscles are multiplied by this scale.
 
     Returns
     -------
@@ -62,9 +63,9 @@ def _build_muscle(part: MuscleShape, fascia: Array, scale: float) -> Manifold:
 
 
 def _space_muscle_rings(low: float, high: float, end_mm: float) -> tuple[Array, Array]:
-    """Return the heights (k,) of the rings of a muscle, in mm, and the factor (k,) that narrows each ring.
+    """Return the heights (k,) of the rings of a muscle, in mm, and the factors (k,) that narrow the rings.
 
-    Rings are closer at both ends, where the factor follows an ellipse.
+    At both ends, the rings are closer together, and the factor follows an ellipse.
     """
     ends = np.array([0.0, 0.05, 0.2, 0.5, 1.0]) * end_mm
     between = np.linspace(low + end_mm, high - end_mm, max(2, int((high - low - 2 * end_mm) / _STEP_MM) + 1))

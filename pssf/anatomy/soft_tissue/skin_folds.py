@@ -1,4 +1,4 @@
-"""Skin folds: furrows in the outline of the limb that indent skin and subcutaneous fat."""
+"""Skin folds: furrows of the limb outline that indent the skin and the subcutaneous fat."""
 
 from typing import NamedTuple
 
@@ -9,19 +9,19 @@ from ...data.anatomy.soft_tissue_tables import SkinFold
 
 # Number of rings that model half the width of a furrow.
 _RINGS_PER_HALF_WIDTH = 3
-# Largest vertical shift of a fold from its template height, up or down, in mm (assumed).
+# Largest vertical displacement of a fold from its template height, upwards or downwards, in mm (assumed).
 _HIGHER_MM = 6.0
 # Largest height difference between the centre and the end of a tilted fold, in mm (assumed).
 _RISE_MM = 5.0
-# Key of the random stream for skin folds, which uses the form seed. Bones and plateau use other keys.
+# Key of the random stream for skin folds. The stream uses the form seed; bones and plateau use other keys.
 _SEED_STREAM = 8
 
 
 class _Furrow(NamedTuple):
     """Furrow of one skin fold.
 
-    `middle_mm` and `share`, both (count,), are the height of the furrow and its depth as a fraction of the fat, at each
-    angle. `half_mm` is half the width of the furrow.
+    `middle_mm` and `share`, both (count,), are the height of the furrow and its depth as a fraction of the fat
+    thickness, at each angle around the limb. `half_mm` is half the furrow width.
     """
 
     middle_mm: Array
@@ -38,7 +38,7 @@ def add_skin_folds(
     scale: float,
     seed: int,
 ) -> tuple[Array, Array]:
-    """Add furrows to the rings of skin and fat, with additional rings to model them.
+    """Add furrows to the rings of skin and fat, and insert the additional rings that the furrows need.
 
     Parameters
     ----------
@@ -51,11 +51,11 @@ def add_skin_folds(
     table : tuple of SkinFold
         Location and size of the template skin folds.
     depth_fraction : float
-        Largest depth of a furrow as a fraction of the fat beneath it, below 1.
+        Largest depth of a furrow as a fraction of the fat thickness, below 1.
     scale : float
-        Size of the bones relative to the template. The heights of the folds scale with it.
+        Size of the bones relative to the template. The heights of the folds are multiplied by this scale.
     seed : int
-        Seed of the location and depth of the folds of this knee.
+        Seed for the locations and depths of the folds of the knee.
 
     Returns
     -------
@@ -83,7 +83,7 @@ def _sample_furrow(
 ) -> _Furrow:
     """Sample height, tilt and depth of a skin fold; `angle` (count,) is in radians."""
     higher_mm, rise_mm = rng.uniform(-1.0, 1.0, 2) * (_HIGHER_MM, _RISE_MM)
-    # Position along the fold: -1 and 1 at its ends.
+    # Position along the fold, from -1 at one end to +1 at the other end.
     along = ((angle - np.deg2rad(fold.towards_deg) + np.pi) % (2 * np.pi) - np.pi) / np.deg2rad(fold.half_turn_deg)
     along = along.clip(-1.0, 1.0)
     middle_mm = (fold.z + higher_mm) * scale + rise_mm * along - fold.drop_mm * along**2
@@ -97,7 +97,7 @@ def _space_furrow_rings(furrow: _Furrow) -> Array:
 
 
 def _interpolate_rings(heights_mm: Array, rings_mm: Array) -> Array:
-    """Interpolate rings (rings, count, 3) linearly at other heights (m,), in mm."""
+    """Interpolate rings (rings, count, 3) linearly to other heights (m,), in mm."""
     given_mm = rings_mm[:, 0, 2]
     above = np.searchsorted(given_mm, heights_mm, side="left").clip(1, len(given_mm) - 1)
     share = (heights_mm - given_mm[above - 1]) / (given_mm[above] - given_mm[above - 1])

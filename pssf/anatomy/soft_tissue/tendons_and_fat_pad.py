@@ -10,7 +10,7 @@ from ..meshing.solids import require_valid_solid
 
 
 def build_fat_pad(part: FatPad, scale: float, tibia_frame: Array, sheath_mm: float = 0.0) -> Manifold:
-    """Build the infrapatellar fat pad, before bones are subtracted.
+    """Build the infrapatellar fat pad, before bones are subtracted from it.
 
     Parameters
     ----------
@@ -35,7 +35,9 @@ def build_fat_pad(part: FatPad, scale: float, tibia_frame: Array, sheath_mm: flo
 def build_patellar_tendon(
     part: PatellarTendon, scale: float, apex_mm: Array, tibia_frame: Array, sheath_mm: float = 0.0
 ) -> Manifold:
-    """Build the patellar tendon from the apex of the patella to the tibial tuberosity, before bones are subtracted.
+    """Build the patellar tendon from the apex of the patella to the tibial tuberosity.
+
+    Bones are subtracted from the tendon later.
 
     Parameters
     ----------
@@ -70,7 +72,9 @@ def build_patellar_tendon(
 def build_quadriceps_tendon(
     part: QuadricepsTendon, scale: float, base_mm: Array, femur_frame: Array, sheath_mm: float = 0.0
 ) -> Manifold:
-    """Build the quadriceps tendon from the patellar base upwards along the femur, before bones are subtracted.
+    """Build the quadriceps tendon from the patellar base upwards along the femur.
+
+    Bones are subtracted from the tendon later.
 
     Parameters
     ----------
@@ -104,7 +108,7 @@ def build_quadriceps_tendon(
 def _build_strap(
     ends: list[tuple[Array, tuple[float, float, float]]], scale: float, sheath_mm: float, name: str
 ) -> Manifold:
-    """Build the convex hull of two ellipsoids, given as pairs of centre (3,) and half axes (3,), in mm."""
+    """Build the convex hull of two ellipsoids, each a pair of centre (3,) and half axes (3,), in mm."""
     ball = Manifold.sphere(1.0, 24)
     solids = [ball.scale(np.array(half) * scale + sheath_mm).translate(place) for place, half in ends]
     return require_valid_solid(Manifold.batch_hull(solids), name)

@@ -1,1 +1,1 @@
-"""Template anatomy: mean femur and tibia, shape model, and their deformation into the bones of one knee."""
+"""Template anatomy: mean femur and tibia, shape model, and deformation of the template bones into those of one knee."""

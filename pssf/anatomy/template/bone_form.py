@@ -1,4 +1,4 @@
-"""Statistical shape model: scores of shape modes give the lattices that deform the template bones."""
+"""Statistical shape model: compute the lattices that deform the template bones from the scores of shape modes."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ from ...geometry.freeform_deformation import Lattice, replace_displacements
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoneShapeModel:
-    """Shape model of one bone.
+    """Statistical shape model of one bone.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class BoneShapeModel:
         Raises
         ------
         InputError
-            The number of scores differs from the number of modes.
+            If the number of scores differs from the number of modes.
         """
         if np.shape(scores) != (len(self.modes_mm),):
             raise InputError(f"scores must have shape ({len(self.modes_mm)},), got {np.shape(scores)}")
@@ -56,14 +56,14 @@ class BoneShapeModel:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KneeShapeModel:
-    """Shape model of a knee.
+    """Statistical shape model of a knee.
 
     Attributes
     ----------
     bones : Mapping of str to BoneShapeModel
         Shape model of each bone: femur, tibia and patella.
     modes : tuple of ShapeMode
-        Shape modes, which all bones share.
+        Shape modes, which are common to all bones.
     """
 
     bones: Mapping[str, BoneShapeModel]
@@ -72,12 +72,12 @@ class KneeShapeModel:
 
 @cache
 def build_shape_model(table: ShapeModel) -> KneeShapeModel:
-    """Build the shape model from its table.
+    """Build the statistical shape model from its table.
 
     Parameters
     ----------
     table : ShapeModel
-        Table of mean shapes and modes.
+        Mean shapes and shape modes.
 
     Returns
     -------
@@ -87,7 +87,7 @@ def build_shape_model(table: ShapeModel) -> KneeShapeModel:
     Raises
     ------
     ValueError
-        The displacements of a bone do not match the size of its lattice or the number of modes.
+        If the displacements of a bone do not match the size of its lattice or the number of modes.
     """
     lattices = {name: getattr(table.lattices, name) for name in ("femur", "tibia", "patella")}
     return KneeShapeModel(
@@ -102,9 +102,9 @@ def build_lattices(scores: Sequence[float], shape_model: KneeShapeModel) -> dict
     Parameters
     ----------
     scores : sequence of float
-        Scores in standard deviations, in the order of the modes. Missing scores are 0, which is the mean.
+        Scores in standard deviations, in the order of the modes. Omitted scores are 0, which is the mean.
     shape_model : KneeShapeModel
-        Shape model.
+        Statistical shape model.
 
     Returns
     -------
@@ -117,7 +117,7 @@ def build_lattices(scores: Sequence[float], shape_model: KneeShapeModel) -> dict
 
 
 def _build_bone_shape_model(table: LatticeTable, modes: int, name: str) -> BoneShapeModel:
-    """Build the shape model of one bone from its table and check the number of modes."""
+    """Check the number of modes in the table of one bone, and build the shape model of this bone."""
     if len(table.modes_mm) != modes:
         raise ValueError(f"table shapes: {name} must have {modes} modes, got {len(table.modes_mm)}")
     mean = Lattice(

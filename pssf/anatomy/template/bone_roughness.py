@@ -1,6 +1,6 @@
 """Local displacements of the bone surface: roughness and growth.
 
-Roughness adds ridges and pits where the bone has no cartilage; they appear as faint lines on radiographs. Roughness
+Roughness adds ridges and pits where the bone has no cartilage. They appear as faint lines on radiographs. Roughness
 also adds shape variation that is too fine for the shape modes.
 """
 
@@ -13,7 +13,7 @@ from ...core.checks import Array
 from ...data.anatomy.bone_tables import GrowthZone, RoughnessZone
 from ..meshing.wave_noise import compute_wave_noise
 
-# Largest displacement, in standard deviations (values beyond it are clipped).
+# Largest displacement, in standard deviations. Larger displacements are clipped to this value.
 _MAX_SD = 2.0
 
 
@@ -37,7 +37,7 @@ NO_SEEDS = Seeds(0, 0)
 
 
 def compute_roughness_mm(points: Array, zones: tuple[RoughnessZone, ...], seeds: Seeds, shaft_sign: int) -> Array:
-    """Compute the displacement of bone points by surface roughness.
+    """Compute the displacement of bone points that surface roughness causes.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def compute_roughness_mm(points: Array, zones: tuple[RoughnessZone, ...], seeds:
     Returns
     -------
     (n, 3) float64 array
-        Displacement in mm: 0 outside the zones, and increasing smoothly towards the centre of each zone.
+        Displacements in mm. They are 0 outside the zones and increase smoothly towards the centre of each zone.
     """
     moves = np.zeros_like(points)
     for number, zone in enumerate(zones):
@@ -70,7 +70,7 @@ def compute_roughness_mm(points: Array, zones: tuple[RoughnessZone, ...], seeds:
 
 
 def compute_growth_mm(points: Array, zones: tuple[GrowthZone, ...], bone_growth_mm: float) -> Array:
-    """Compute the displacement of bone points by bone growth.
+    """Compute the displacement of bone points that bone growth causes.
 
     Parameters
     ----------
@@ -79,12 +79,12 @@ def compute_growth_mm(points: Array, zones: tuple[GrowthZone, ...], bone_growth_
     zones : tuple of GrowthZone
         Zones in which bone grows.
     bone_growth_mm : float
-        Amount of growth, in mm.
+        Growth of the bone surface, in mm.
 
     Returns
     -------
     (n, 3) float64 array
-        Displacement in mm; 0 outside the zones.
+        Displacements in mm; 0 outside the zones.
     """
     moves = np.zeros_like(points)
     for zone in zones if bone_growth_mm else ():
@@ -94,7 +94,7 @@ def compute_growth_mm(points: Array, zones: tuple[GrowthZone, ...], bone_growth_
 
 
 def is_in_zones(points: Array, zones: tuple[RoughnessZone, ...]) -> NDArray[np.bool_]:
-    """Test which points of the template bone are inside a roughness zone.
+    """Test which points of the template bone are inside roughness zones.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def is_in_zones(points: Array, zones: tuple[RoughnessZone, ...]) -> NDArray[np.b
     Returns
     -------
     (n,) bool array
-        True where roughness may displace the point.
+        True where roughness can displace the point.
     """
     return np.any(
         [_compute_squared_zone_distance(points, zone) < 1 for zone in zones] or [np.zeros(len(points), bool)], axis=0

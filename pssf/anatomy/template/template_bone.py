@@ -31,7 +31,7 @@ from ..meshing.solids import (
 from .bone_form import BoneShapeModel, build_shape_model
 from .bone_roughness import is_in_zones
 
-# Source files that determine the solids, apart from the tables; part of the cache key.
+# Source files that determine the solids, in addition to the tables. Their contents are part of the cache key.
 SOURCES = (
     *(f"anatomy/meshing/{name}.py" for name in ("implicit_shapes", "remesh", "solids", "wave_noise")),
     *(f"anatomy/template/{name}.py" for name in ("bone_form", "bone_roughness", "template_bone")),
@@ -40,34 +40,37 @@ SOURCES = (
 )
 # Libraries whose versions are part of the cache key.
 _LIBRARIES = ("manifold3d", "numpy", "scipy")
-# Grid spacing of stored vertices, mm. Coordinates are stored as integer multiples of this spacing, which are compact
-# and the same on all machines.
+# Grid spacing of stored vertices, in mm. Coordinates are stored as integer multiples of the spacing, which are compact
+# and identical on all machines.
 _GRID_MM = 2.0**-20
 # Meshing tolerance of inner surfaces, mm. It is coarser than the tolerance of outer surfaces, because trabeculae blur
 # the inner edge of the cortex.
 _INNER_TOLERANCE_MM = 0.03
-# Depths at which the inward path of each vertex is stored, mm; the largest depth exceeds the thickest cortex.
+# Depths at which the inward path of each vertex is stored, in mm. The largest depth exceeds the thickest cortex.
 _DEPTHS_MM = (0.0, 0.5, 1.0, 1.75, 2.75, 4.0, 5.5, 7.5)
-# Number of Newton iterations from one depth to the next.
+# Number of Newton iterations from one stored depth to the next.
 _STEPS = 4
-# Largest number of iterations until depth and thickness at that depth agree.
+# Largest number of iterations until the depth equals the shell thickness at this depth.
 _TURNS = 12
-# Depth and thickness agree if the last step was smaller than this, mm.
+# Largest change in the last iteration at which depth and shell thickness are regarded as equal, in mm.
 _SETTLED_MM = 0.005
-# Largest distance by which deformation may move the midpoint of an edge off the edge, mm. Other edges are split.
+# Largest distance by which deformation may move the midpoint of an edge off the edge, in mm. Edges that exceed this
+# distance are split.
 _BENT_MM = 0.05
-# Largest number of edge-splitting rounds.
+# Largest number of times that the edges of a mesh are split.
 _SPLITS = 5
-# Largest deviation from the mean shape for which edges are made short enough, in standard deviations.
+# Largest deviation from the mean shape that determines the edge length, in standard deviations.
 _FAR_SD = 2.0
-# Longest edge in a roughness zone, mm: a quarter of the shortest wavelength.
+# Largest edge length in a roughness zone, in mm: a quarter of the shortest wavelength.
 _ROUGH_EDGE_MM = 2.0
 
 
 BoneShapeT = TypeVar("BoneShapeT", FemurShape, TibiaShape)
-# Maps points (n, 3), in mm, relative cortical thickness and relative plate thickness to shell thickness (n,), in mm.
+# A shell thickness function maps points (n, 3), in mm, relative cortical thickness and relative plate thickness to
+# shell thickness (n,), in mm.
 ShellThickness = Callable[[Array, float, float | Array], Array]
-# Maps points (n, 3), in mm, and thickness (n,), in mm, to local thickness factors (n,), dimensionless.
+# A thickness factor function maps points (n, 3), in mm, and thickness (n,), in mm, to local thickness factors (n,),
+# dimensionless.
 ThicknessFactor = Callable[[Array, Array], Array]
 
 
@@ -78,11 +81,11 @@ class SubchondralPlates:
     Parameters
     ----------
     medial : float
-        Relative thickness on the medial side, dimensionless.
+        Relative thickness in the medial compartment, dimensionless.
     lateral : float
-        Relative thickness on the lateral side, dimensionless.
+        Relative thickness in the lateral compartment, dimensionless.
     middle_mm : float
-        Width of the transition between the medial and the lateral side, in mm.
+        Width of the transition between the medial and lateral compartment, in mm.
     """
 
     medial: float
@@ -90,7 +93,7 @@ class SubchondralPlates:
     middle_mm: float
 
     def interpolate(self, points: Array) -> Array:
-        """Interpolate the relative plate thickness between the two sides.
+        """Interpolate the relative plate thickness between the medial and lateral compartment.
 
         Parameters
         ----------
@@ -108,29 +111,31 @@ class SubchondralPlates:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TemplateBone:
-    """Template femur or tibia: a bone with a straight shaft at template size, in its own frame.
+    """Template femur or tibia with a straight shaft, at template size, in the frame of the bone.
 
     Attributes
     ----------
     name : str
         Name of the bone.
     field : callable
-        Maps points (n, 3), in mm, to approximate signed distances (n,) from the outer surface, in mm, negative inside.
+        Function that maps points (n, 3), in mm, to approximate signed distances (n,) from the outer surface, in mm,
+        negative inside.
     shell_thickness_mm : callable
-        Thickness (n,) of cortex or subchondral bone plate, in mm. Its arguments are points (n, 3), in mm, relative
-        thickness of the cortex and relative thickness of the plate (number or (n,)).
+        Function that returns the thickness (n,) of cortex or subchondral bone plate, in mm. Its arguments are points
+        (n, 3), in mm, the relative thickness of the cortex, and the relative thickness of the subchondral bone plate
+        (number or (n,)).
     build_csg_solid : callable
-        Function that builds the same bone as a Boolean combination of parts, with sharp creases.
+        Function that builds the same bone as a Boolean combination of solids, with sharp creases.
     edge_mm : float
-        Longest edge of the mesh away from the shaft, in mm.
+        Largest edge length of the mesh away from the shaft, in mm.
     tolerance_mm : float
         Largest distance of edge midpoints from the surface of the field, in mm.
     shape_model : BoneShapeModel
-        Shape model of the bone; edges are short enough for its deformations.
+        Shape model of the bone. Edges are short enough for its deformations.
     roughness_zones : tuple of RoughnessZone
-        Zones with a rough surface; edges are short enough for their roughness.
+        Zones with a rough surface. Edges are short enough for their roughness.
     tables : bytes
-        All tables that determine the bone, encoded for the cache key.
+        All tables that determine the bone, encoded as bytes for the cache key.
     """
 
     name: str
@@ -145,13 +150,15 @@ class TemplateBone:
 
     @property
     def outer(self) -> Manifold:
-        """Outer solid."""
+        """Outer solid of the bone, at template size."""
         return self._stored_parts[0]
 
     def compute_depth_mm(
         self, cortex: float, plates: SubchondralPlates, uneven: ThicknessFactor | None = None
     ) -> Array:
-        """Compute the thickness of cortex and subchondral bone plate along the inward path of each coarse vertex.
+        """Compute the thickness of cortex and subchondral bone plate at each vertex of the coarse surface.
+
+        The thickness is measured along the inward path of the vertex.
 
         Parameters
         ----------
@@ -160,8 +167,8 @@ class TemplateBone:
         plates : SubchondralPlates
             Thickness of the subchondral bone plates relative to the template.
         uneven : callable or None
-            Maps points (n, 3), in mm, and thickness (n,), in mm, to local thickness factors (n,). None means 1
-            everywhere.
+            Function that maps points (n, 3), in mm, and thickness (n,), in mm, to local thickness factors (n,). None
+            means a factor of 1.
 
         Returns
         -------
@@ -173,8 +180,8 @@ class TemplateBone:
         depth = self.shell_thickness_mm(ways[0], cortex, plate)
         share = np.ones(len(depth)) if uneven is None else uneven(ways[0], depth)
         depth *= share
-        # The thickness is defined at the inner side of the shell, so depth and thickness are iterated until they agree.
-        # Half steps converge even for thick plates with steep ends.
+        # The thickness is defined at the inner surface of the shell, so the depth is iterated until it equals the
+        # thickness. Half steps converge even for thick plates with steep ends.
         unsettled = np.arange(len(depth))
         for _ in range(_TURNS):
             there = self.shell_thickness_mm(
@@ -186,12 +193,14 @@ class TemplateBone:
         return depth
 
     def build_inner_mesh(self, depth_mm: Array) -> Mesh:
-        """Build the inner surface of cortex and plate by moving the coarse outer surface along its inward paths.
+        """Build the inner surface of cortex and subchondral bone plate.
+
+        The coarse outer surface is moved along its inward paths.
 
         Parameters
         ----------
         depth_mm : (n,) float64 array
-            Depth of each vertex, in mm, as `compute_depth_mm` returns it.
+            Depth of each vertex, in mm, from `compute_depth_mm`.
 
         Returns
         -------
@@ -202,11 +211,11 @@ class TemplateBone:
         return Mesh(_interpolate_at_depth(ways, depth_mm), faces)
 
     def prepare(self) -> None:
-        """Build the solids or read them from the cache, unless they are in memory already."""
+        """Build the solids or read them from the cache, unless they are already in memory."""
         _ = self._stored_parts
 
     def mesh_to_tolerance(self, tolerance_mm: float) -> Manifold:
-        """Mesh the outer solid with another tolerance, without the cache.
+        """Mesh the outer solid with another tolerance, bypassing the cache.
 
         Parameters
         ----------
@@ -221,7 +230,7 @@ class TemplateBone:
         Raises
         ------
         InputError
-            The mesh is not a valid solid.
+            If the mesh is not a valid solid.
         """
         return require_valid_solid(
             mesh_bone(self.build_csg_solid(), self.field, self.edge_mm, (tolerance_mm,))[0], self.name
@@ -233,18 +242,21 @@ class TemplateBone:
         return CacheKey(sources=SOURCES, libraries=_LIBRARIES, facts=self.tables)
 
     def write_to_package(self) -> None:
-        """Build the solids and store them in the package, so that users need not wait for them."""
+        """Build the solids and store them in the package, so that users do not have to wait for them."""
         save_to_package(self.name, self.origin, self.make_arrays())
 
     @cached_property
     def _stored_parts(self) -> tuple[Manifold, Indices, Array]:
-        """Outer solid, faces (m, 3) of a coarser surface, and inward paths (depths, n, 3) of its vertices, mm."""
+        """Return the outer solid, the faces of a coarser surface and the inward paths of its vertices.
+
+        The faces have shape (m, 3). The paths have shape (depths, n, 3) and are in mm.
+        """
         arrays = load_or_make_arrays(self.name, self.origin, self.make_arrays)
         ways = np.cumsum(arrays["steps"], axis=0) * _GRID_MM
         return build_solid(arrays["points"] * _GRID_MM, arrays["faces"], self.name), arrays["inner_faces"], ways
 
     def make_arrays(self) -> Arrays:
-        """Build the solids without the cache, as integer arrays.
+        """Build the solids, bypassing the cache, and return them as integer arrays.
 
         Returns
         -------
@@ -276,27 +288,27 @@ def make_template_bone(
     build_csg_solid: Callable[[BoneShapeT], Manifold],
     forms: ShapeModel,
 ) -> TemplateBone:
-    """Make a template bone from its shape table.
+    """Make a template bone from its shape parameters.
 
     Parameters
     ----------
     name : str
         Name of the bone.
     shape : FemurShape or TibiaShape
-        Shape table of the bone.
+        Shape parameters of the bone.
     field : callable
-        Approximate signed distance from the outer surface: points (n, 3), in mm, to values (n,), in mm.
+        Distance field of the outer surface. It maps points (n, 3), in mm, to approximate signed distances (n,), in mm.
     shell_thickness_mm : callable
-        As in `TemplateBone`, with the shape table as an additional first argument.
+        Function as in `TemplateBone`, with the shape parameters as an additional first argument.
     build_csg_solid : callable
-        As in `TemplateBone`, with the shape table as its argument.
+        Function as in `TemplateBone`, with the shape parameters as its argument.
     forms : ShapeModel
-        Shape model; edges are made short enough for its deformations.
+        Statistical shape model. Edges are made short enough for its deformations.
 
     Returns
     -------
     TemplateBone
-        The template bone. Its solids are built or read when they are first used.
+        Template bone. Its solids are built or read from the cache at first use.
     """
     return TemplateBone(
         name=name,
@@ -317,14 +329,14 @@ def _round_to_grid(places: Array) -> Indices:
 
 
 def _repeat_depth(depth_mm: float, points: Array) -> Array:
-    """Return the same depth (n,), mm, for all points (n, 3)."""
+    """Return an array (n,) that repeats one depth, in mm, for all points (n, 3)."""
     return np.full(len(points), depth_mm)
 
 
 def _interpolate_at_depth(inward_paths: Array, depth_mm: Array) -> Array:
-    """Interpolate positions (n, 3) at depths (n,), mm, along inward paths (depths, n, 3).
+    """Interpolate positions (n, 3) at depths (n,), in mm, along inward paths (depths, n, 3).
 
-    The paths are nearly straight between two stored depths.
+    Between two stored depths, the paths are nearly straight.
     """
     depths = np.array(_DEPTHS_MM)
     level = np.clip(np.searchsorted(depths, depth_mm) - 1, 0, len(depths) - 2)
@@ -355,12 +367,12 @@ def refine_for_deformation(
     Raises
     ------
     InputError
-        The refined mesh is not a valid solid.
+        If the refined mesh is not a valid solid.
 
     Notes
     -----
-    An edge is split if deformation would move its midpoint off the edge by more than 0.05 mm. Shapes up to two
-    standard deviations from the mean are considered. In roughness zones, edges longer than 2 mm are split too.
+    An edge is split if deformation would move its midpoint off the edge by more than 0.05 mm. Shapes up to two standard
+    deviations from the mean are considered. In roughness zones, edges longer than 2 mm are also split.
     """
     mesh = extract_mesh(solid)
 
@@ -374,9 +386,9 @@ def refine_for_deformation(
 
 
 def _compute_sagitta_mm(places: Array, edges: Indices, middles: Array, shape_model: BoneShapeModel) -> Array:
-    """Compute the distances (n,) by which deformation moves the midpoints of edges (n, 2) off the edges, mm.
+    """Compute the distances (n,) by which deformation moves the midpoints of edges (n, 2) off the edges, in mm.
 
-    The distances apply to shapes two standard deviations from the mean.
+    The distances are computed for shapes two standard deviations from the mean.
     """
 
     def bend(displacements_mm: Array) -> Array:

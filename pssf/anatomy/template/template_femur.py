@@ -1,6 +1,6 @@
 """Distal femur of a right knee: shaft, two condyles, epicondyles, trochlear groove and notch, blended with fillets.
 
-Frame of the bone at template size, in mm: x medial, y posterior, z proximal, z = 0 at the distal end of the condyles.
+Coordinates are in mm at template size: x medial, y posterior, z proximal, and z = 0 at the distal end of the condyles.
 """
 
 import atexit
@@ -31,7 +31,7 @@ from ..meshing.solids import (
 )
 from .template_bone import TemplateBone, make_template_bone
 
-# Height at which the shaft ends in a flat cut, mm; it is outside the beam of every protocol in the package.
+# Height at which the shaft ends in a flat cut, in mm. The cut is outside the beam of every protocol in the package.
 _SHAFT_CUT_Z_MM = 285.0
 
 
@@ -42,9 +42,9 @@ def make_template_femur(shape: FemurShape, forms: ShapeModel) -> TemplateBone:
     Parameters
     ----------
     shape : FemurShape
-        Shape table of the femur.
+        Shape parameters of the femur.
     forms : ShapeModel
-        Shape model; edges are made short enough for its deformations.
+        Statistical shape model. Edges are made short enough for its deformations.
 
     Returns
     -------
@@ -56,8 +56,8 @@ def make_template_femur(shape: FemurShape, forms: ShapeModel) -> TemplateBone:
     )
 
 
-# When Python ends, manifold3d writes a message to standard error if solids still exist. An empty cache prevents this
-# message.
+# When Python exits, manifold3d writes a message to standard error if solids still exist. Clearing the cache prevents
+# this message.
 atexit.register(make_template_femur.cache_clear)
 
 
@@ -67,12 +67,12 @@ def make_distance_field(shape: FemurShape) -> ScalarField:
     Parameters
     ----------
     shape : FemurShape
-        Shape table of the femur.
+        Shape parameters of the femur.
 
     Returns
     -------
     callable
-        Maps points (n, 3), in mm, to approximate signed distances (n,), in mm, negative inside.
+        Function that maps points (n, 3), in mm, to approximate signed distances (n,), in mm, negative inside.
     """
     shaft_field = ColumnField(np.array(shape.sections), SHAFT_POWER)
 
@@ -95,14 +95,15 @@ def make_distance_field(shape: FemurShape) -> ScalarField:
 def condyle_distance_mm(points: Array, condyle: Condyle) -> Array:
     """Compute the approximate signed distance of points from one condyle.
 
-    The condyle is an oval in the sagittal plane. It is extended medio-laterally and tapers medially and laterally.
+    The condyle is an oval in the sagittal plane. It is extended in the medio-lateral direction and tapers towards both
+    ends.
 
     Parameters
     ----------
     points : (n, 3) float64 array, mm
         Points in the frame of the femur.
     condyle : Condyle
-        Shape of the condyle.
+        Shape parameters of the condyle.
 
     Returns
     -------
@@ -121,7 +122,7 @@ def _condyle_centre(condyle: Condyle) -> Array:
 
 
 def _condyle_norm(offset: Array, condyle: Condyle) -> Array:
-    """Compute the normalised distance (n,) of offsets (n, 3) from the centre of a condyle: 1 on its surface."""
+    """Compute the normalised distance (n,) of offsets (n, 3) from the centre of a condyle; it is 1 on the surface."""
     along = offset[:, 1] / np.where(offset[:, 1] > 0, condyle.back, condyle.front)
     beyond = offset[:, 0] * np.sign(condyle.x)
     height = offset[:, 2] - condyle.rise * np.maximum(beyond, 0.0)
@@ -133,7 +134,7 @@ def _condyle_norm(offset: Array, condyle: Condyle) -> Array:
 
 
 def _interpolate_notch(y_mm: Array, notch: NotchShape) -> tuple[Array, Array, Array]:
-    """Interpolate the height of the notch roof (mm), its curvature (1/mm) and half width (mm) at positions y."""
+    """Interpolate the height (mm), the curvature (1/mm) and the half width (mm) of the notch roof at positions y."""
     rows = np.array(notch.sections)
     roof, bend, half = (np.interp(y_mm, rows[:, 0], rows[:, k]) for k in (1, 2, 3))
     return roof, bend, half
@@ -147,7 +148,7 @@ def notch_distance_mm(points: Array, notch: NotchShape) -> Array:
     points : (n, 3) float64 array, mm
         Points in the frame of the femur.
     notch : NotchShape
-        Shape of the notch.
+        Shape parameters of the notch.
 
     Returns
     -------
@@ -163,7 +164,7 @@ def notch_distance_mm(points: Array, notch: NotchShape) -> Array:
 def _compute_shell_thickness_mm(
     shape: FemurShape, points: Array, cortex_scale: float, plate_scale: float | Array
 ) -> Array:
-    """Compute the thickness (n,) of cortex or subchondral bone plate at points (n, 3), mm.
+    """Compute the thickness (n,) of cortex or subchondral bone plate at points (n, 3), in mm.
 
     `cortex_scale` and `plate_scale` are thicknesses relative to the template. `plate_scale` is a number or an array
     (n,).
@@ -173,13 +174,14 @@ def _compute_shell_thickness_mm(
     shell = (1 - share) * make_thickness_profile(shape.cortex, cortex_scale)(
         points[:, 2]
     ) + share * shape.plate_mm * plate_scale
-    # The notch bears no load, so its walls are thin; they blend into the plate of the condyles over 3 mm.
+    # The notch bears no load, so its walls are thin. Over 3 mm, the walls blend into the subchondral bone plate of the
+    # condyles.
     within = np.clip(1 - notch_distance_mm(points, shape.notch) / 3.0, 0.0, 1.0)
     return np.asarray(shell + within * (shape.notch.cortex_mm * cortex_scale - shell))
 
 
 def _build_csg_solid(shape: FemurShape) -> Manifold:
-    """Build the femur as a Boolean combination of its parts, with sharp creases."""
+    """Build the femur as a Boolean combination of solids, with sharp creases."""
     sections = np.array(shape.sections)
     heights = np.concatenate((np.arange(sections[:, 0].min(), 70.0, 2.5), np.linspace(70.0, _SHAFT_CUT_Z_MM, 54)))
     solid = loft_column(sections, np.zeros_like, heights, "femur shaft", count=72)
@@ -197,7 +199,7 @@ def _build_csg_condyle(condyle: Condyle, side: str) -> Manifold:
 
 
 def _build_csg_notch(notch: NotchShape) -> Manifold:
-    """Build the intercondylar notch as a loft from back to front."""
+    """Build the intercondylar notch as a loft from posterior to anterior."""
     rings = []
     for y in np.linspace(45.0, -24.0, 9):
         roof, bend, half = _interpolate_notch(np.array(y), notch)

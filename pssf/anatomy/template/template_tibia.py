@@ -1,6 +1,6 @@
 """Proximal tibia of a right knee: flared shaft, plateau with two spines, and tuberosity, blended with fillets.
 
-Frame of the bone at template size, in mm: x medial, y posterior, z proximal, z = 0 at the centre of a level plateau.
+Coordinates are in mm at template size: x medial, y posterior, z proximal, and z = 0 at the centre of a level plateau.
 """
 
 import atexit
@@ -28,7 +28,7 @@ from ..meshing.solids import (
 )
 from .template_bone import TemplateBone, make_template_bone
 
-# Height at which the shaft ends in a flat cut, mm; it is outside the beam of every protocol in the package.
+# Height at which the shaft ends in a flat cut, in mm. The cut is outside the beam of every protocol in the package.
 _SHAFT_CUT_Z_MM = -285.0
 
 
@@ -39,9 +39,9 @@ def make_template_tibia(shape: TibiaShape, forms: ShapeModel) -> TemplateBone:
     Parameters
     ----------
     shape : TibiaShape
-        Shape table of the tibia.
+        Shape parameters of the tibia.
     forms : ShapeModel
-        Shape model; edges are made short enough for its deformations.
+        Statistical shape model. Edges are made short enough for its deformations.
 
     Returns
     -------
@@ -53,8 +53,8 @@ def make_template_tibia(shape: TibiaShape, forms: ShapeModel) -> TemplateBone:
     )
 
 
-# When Python ends, manifold3d writes a message to standard error if solids still exist. An empty cache prevents this
-# message.
+# When Python exits, manifold3d writes a message to standard error if solids still exist. Clearing the cache prevents
+# this message.
 atexit.register(make_template_tibia.cache_clear)
 
 
@@ -64,12 +64,12 @@ def make_distance_field(shape: TibiaShape) -> ScalarField:
     Parameters
     ----------
     shape : TibiaShape
-        Shape table of the tibia.
+        Shape parameters of the tibia.
 
     Returns
     -------
     callable
-        Maps points (n, 3), in mm, to approximate signed distances (n,), in mm, negative inside.
+        Function that maps points (n, 3), in mm, to approximate signed distances (n,), in mm, negative inside.
     """
     shaft_field = ColumnField(np.array(shape.sections), SHAFT_POWER)
 
@@ -92,7 +92,7 @@ def height_above_plateau_mm(points: Array, relief: tuple[PlateauGaussian, ...]) 
     points : (n, 3) float64 array, mm
         Points in the frame of the tibia.
     relief : tuple of PlateauGaussian
-        Relief of the plateau.
+        Gaussian functions whose sum is the surface relief of the plateau.
 
     Returns
     -------
@@ -104,7 +104,7 @@ def height_above_plateau_mm(points: Array, relief: tuple[PlateauGaussian, ...]) 
 
 
 def plateau_height_mm(x: Array, y: Array, relief: tuple[PlateauGaussian, ...]) -> Array:
-    """Compute the height of the surface of a level plateau.
+    """Compute the height of a level plateau.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def plateau_height_mm(x: Array, y: Array, relief: tuple[PlateauGaussian, ...]) -
     y : (n,) float64 array, mm
         Antero-posterior coordinates in the frame of the tibia.
     relief : tuple of PlateauGaussian
-        Relief of the plateau.
+        Gaussian functions whose sum is the surface relief of the plateau.
 
     Returns
     -------
@@ -124,7 +124,10 @@ def plateau_height_mm(x: Array, y: Array, relief: tuple[PlateauGaussian, ...]) -
 
 
 def _equalise_depth(points: Array, shape: TibiaShape) -> Array:
-    """Scale points (n, 3) antero-posteriorly until medial and lateral plateau have the depth of the centre, mm."""
+    """Scale points (n, 3), in mm, in the antero-posterior direction.
+
+    The scaled medial and lateral plateaus have the same antero-posterior depth as the plateau centre.
+    """
     fade = np.clip(1 - points[:, 2] / shape.deeper_above_z, 0.0, 1.0) ** 2
     places = points.copy()
     places[:, 1] /= 1 + np.clip(shape.deeper_medially * points[:, 0], -0.15, 0.15) * fade
@@ -132,9 +135,9 @@ def _equalise_depth(points: Array, shape: TibiaShape) -> Array:
 
 
 def _evaluate_relief(x: Array, y: Array, relief: tuple[PlateauGaussian, ...]) -> tuple[Array, Array, Array]:
-    """Evaluate the height (mm) of the plateau and its slopes along x and y, as a sum of Gaussians.
+    """Evaluate the height (mm) of the plateau and its slopes along x and y, as a sum of Gaussian functions.
 
-    Negative Gaussians form the concave articular surfaces.
+    Negative Gaussian functions form the concave articular surfaces.
     """
     height, slope_x, slope_y = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
     for bell in relief:
@@ -149,7 +152,7 @@ def _evaluate_relief(x: Array, y: Array, relief: tuple[PlateauGaussian, ...]) ->
 def _compute_shell_thickness_mm(
     shape: TibiaShape, points: Array, cortex_scale: float, plate_scale: float | Array
 ) -> Array:
-    """Compute the thickness (n,) of cortex or subchondral bone plate at points (n, 3), mm.
+    """Compute the thickness (n,) of cortex or subchondral bone plate at points (n, 3), in mm.
 
     `cortex_scale` and `plate_scale` are thicknesses relative to the template. `plate_scale` is a number or an array
     (n,).
@@ -163,7 +166,7 @@ def _compute_shell_thickness_mm(
 
 
 def _build_csg_solid(shape: TibiaShape) -> Manifold:
-    """Build the tibia as a Boolean combination of its parts, with sharp creases."""
+    """Build the tibia as a Boolean combination of solids, with sharp creases."""
     sections = np.array(shape.sections)
     heights = np.concatenate((np.linspace(_SHAFT_CUT_Z_MM, -60.0, 56), np.arange(-57.5, sections[:, 0].max(), 2.5)))
     shaft = loft_column(sections, np.zeros_like, heights, "tibia shaft", count=72)

@@ -1,1 +1,1 @@
-"""Trabecular bone: density of each bone, strut lattice and integrals of density along rays."""
+"""Trabecular bone: density of each bone, strut lattice and density integrals along rays."""

@@ -1,7 +1,7 @@
 """Density integrals: integrate trabecular density along line segments.
 
 A fixed number of segments is processed side by side in one array, so that the compiler vectorises all inner loops. Each
-segment is divided into intervals, in which the smooth part of the density is interpolated linearly.
+segment is divided into intervals. Within an interval, the smooth component of the density is interpolated linearly.
 """
 
 import math
@@ -17,21 +17,21 @@ from .density_region import DensityParameters
 from .segment_rows import LANES, PLANE_TOLERANCE, StrutVoxels
 from .smooth_density import fill_nodes
 
-# Distance beyond which the physeal scar is negligible, in half thicknesses of the scar.
+# Distance beyond which the physeal scar is negligible, in multiples of half the scar thickness.
 _SCAR_REACH = 30.0
 
 VoxelIndices = NDArray[np.int32]
 
 
 class SamplingSteps(NamedTuple):
-    """Sampling density of the integration.
+    """Number of samples for the integration.
 
     Parameters
     ----------
     samples_per_voxel : int
         Samples per voxel of the strut lattice.
     samples_per_piece : int
-        Samples per interval of a segment; the smooth part of the density is linear within an interval.
+        Samples per interval of a segment. The smooth density component is linear within an interval.
     """
 
     samples_per_voxel: int
@@ -49,11 +49,11 @@ def _integrate_hat(x: float) -> float:
 def _add_sample(lanes: Array, places: VoxelIndices, struts: StrutVoxels, i: int, above: int) -> None:
     """Add the contribution of the struts at sample `i` of the intervals to the integrals.
 
-    `above` selects the lattice plane: 0 for the plane below the sample, 1 for the plane above.
+    `above` selects the lattice plane: 0 for the plane below the sample, 1 for the plane above the sample.
     """
     (nx, nz, ny), voxels = struts.size, struts.voxels
     row, col, unit = (nz + 1) * ny, ny, 0.5 * struts.normalisation
-    # Weights for linear interpolation at a fraction c past a plane: 1 - c for the plane below, c for the plane above.
+    # Weights for linear interpolation at a fraction c beyond a plane: 1 - c for the plane below, c for the plane above.
     whole, part = 1.0 - above, 2.0 * above - 1.0
     for n in range(LANES):
         a = np.int32(lanes[r.NEAR + r.A + n] + i * lanes[r.RISE + r.A + n])
@@ -61,7 +61,7 @@ def _add_sample(lanes: Array, places: VoxelIndices, struts: StrutVoxels, i: int,
         c = np.int32(lanes[r.NEAR + r.C + n] + i * lanes[r.RISE + r.C + n])
         places[n] = (a & (nx - 1)) * row + (b & (nz - 1)) * col + ((c + above) & (ny - 1))
     for n in range(LANES):
-        place = np.uint64(places[n])  # an unsigned index avoids the check for negative indices
+        place = np.uint64(places[n])  # An unsigned index avoids the check for negative indices.
         lanes[r.ONE + n] = voxels[place]
         lanes[r.TWO + n] = voxels[place + np.uint64(col)]
         lanes[r.THREE + n] = voxels[place + np.uint64(row)]
@@ -91,10 +91,10 @@ def _begin_segments(
     struts: StrutVoxels,
     steps: SamplingSteps,
 ) -> None:
-    """Write the line parameters of the segments from number `first` on into the work array.
+    """Write the line parameters of consecutive segments, starting at number `first`, into the work array.
 
-    The last segment is repeated until all lanes are full. `starts` and `ends` (n, 3) are in the knee frame, mm;
-    `bone_transform` (3, 4) maps into the frame of the bone.
+    The last segment is repeated until all lanes are full. `starts` and `ends` (n, 3) are in the knee frame, in mm;
+    `bone_transform` (3, 4) maps them into the frame of the bone.
     """
     (px, pz, py), piece = struts.per_mm, steps.samples_per_piece
     for axis in range(3):
@@ -132,7 +132,7 @@ def _begin_segments(
 
 @kernel_helper()
 def _advance_piece(lanes: Array, piece: int) -> tuple[int, int, int]:
-    """Compute the change per sample in the current interval and integrate the smooth part of the density.
+    """Compute the changes per sample in the current interval, and integrate the smooth density component.
 
     Return the first sample, the last sample and the number of lattice planes per sample.
     """
@@ -150,7 +150,7 @@ def _advance_piece(lanes: Array, piece: int) -> tuple[int, int, int]:
         lanes[r.TOTAL + n] += lanes[r.ADDED + n]
         if lanes[r.LOW + n] < lanes[r.HIGH + n]:
             first, last = min(first, lanes[r.LOW + n]), max(last, lanes[r.HIGH + n])
-            # Each sample is on one lattice plane; on an oblique ray, each sample is between two planes.
+            # Each sample is on one lattice plane, or between two planes if the ray is oblique.
             if abs(abs(lanes[r.RISE + r.C + n]) - 1.0) > 1e-9:
                 planes = 2
     return int(first), math.ceil(last), planes
@@ -160,7 +160,7 @@ def _advance_piece(lanes: Array, piece: int) -> tuple[int, int, int]:
 def _is_scar_near(lanes: Array, n: int) -> bool:
     """Test whether the physeal scar is near the current interval.
 
-    The test considers the whole interval, so that integrals over parts of the interval add up.
+    The test considers the entire interval, so that the integrals of its subintervals add up.
     """
     over, beyond = lanes[r.NEAR + r.OVER + n], lanes[r.FAR + r.OVER + n]
     return (
@@ -172,7 +172,8 @@ def _is_scar_near(lanes: Array, n: int) -> bool:
 def _add_scar(lanes: Array) -> None:
     """Add the contribution of the physeal scar over an interval.
 
-    The profile of the scar is (1 + q^2)^-1.5, where q is the height above the scar in half thicknesses.
+    The density profile of the scar is (1 + q^2)^-1.5, where q is the height above the scar divided by half the scar
+    thickness.
     """
     level = 0
     for n in range(LANES):
@@ -183,7 +184,7 @@ def _add_scar(lanes: Array) -> None:
             lanes[r.RISE + r.OVER + n],
         )
         one, two = over + low * rise, over + high * rise
-        # The profile is the derivative of q / sqrt(1 + q^2), so the integral is exact for any thickness of the scar.
+        # The profile is the derivative of q / sqrt(1 + q^2), so the integral is exact for any scar thickness.
         mean = (two / math.sqrt(1.0 + two * two) - one / math.sqrt(1.0 + one * one)) / (two - one)
         added = (high - low) * mean * (lanes[r.NEAR + r.SCAR + n] + lanes[r.FAR + r.SCAR + n]) / 2
         near, steep = _is_scar_near(lanes, n), abs(rise) > 1e-7
@@ -220,17 +221,17 @@ def integrate_density(
     struts : StrutVoxels
         Strut lattice and its position in the bone.
     region : DensityParameters
-        Smooth part of the density.
+        Parameters of the smooth density component.
     steps : SamplingSteps
-        Sampling density.
+        Number of samples for the integration.
     out : (n,) float64 array, mm
         Output array, overwritten with the integrals of relative density.
 
     Notes
     -----
-    Sample positions do not depend on where a segment begins on its line, so integrals of consecutive segments add up.
-    For rays approximately along y, the samples are on the planes of the lattice. For other rays, the samples are at
-    multiples of a step from the point nearest to the origin.
+    Sample positions do not depend on where a segment begins on its line, so the integrals of consecutive segments add
+    up. If a ray is approximately along y, the samples are on the lattice planes. Otherwise, the samples are at
+    multiples of a step from the point on the ray nearest to the origin.
     """
     lanes, places = np.zeros(40 * LANES), np.empty(LANES, np.int32)
     for segment in range(0, len(starts), LANES):

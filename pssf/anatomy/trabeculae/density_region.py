@@ -1,4 +1,4 @@
-"""Density parameters: the smooth part of the trabecular density of one bone, as numbers for compiled code."""
+"""Density parameters: smooth component of the trabecular density of one bone, as numbers for compiled code."""
 
 from typing import NamedTuple
 
@@ -6,128 +6,131 @@ from ...data.table_records import Triple
 
 
 class DensityParameters(NamedTuple):
-    """Smooth part of the trabecular density of one bone, from `data/trabeculae.toml`.
+    """Smooth component of the trabecular density of one bone, from `data/trabeculae.toml`.
 
-    Lengths that only occur as divisors are stored as inverses, because divisions are slow. Lengths are at template size
-    unless stated otherwise. Heights and depths are along z, and the midline is x = 0.
+    Lengths that are used only as divisors are stored as inverses, because divisions are slow. Lengths are at template
+    size unless stated otherwise. Heights and depths are along z, and the midline is x = 0.
 
     Attributes
     ----------
     shaft_direction : float
-        Direction of the shaft along z, +1 or -1; 0 without shaft.
+        Direction of the shaft along z, +1 or -1; 0 for a bone without a shaft.
     bvtv : float
         Bone volume fraction (BV/TV) in the epiphysis, dimensionless.
     shaft : float
-        BV/TV far down the shaft, dimensionless.
+        BV/TV in the shaft far from the joint, dimensionless.
     fade_per_mm : float
         Inverse of the depth at which BV/TV is halfway between `bvtv` and `shaft`, in 1/mm.
     medial : float
-        Relative increase of BV/TV on the medial side, and decrease on the lateral side, dimensionless.
+        Relative increase in BV/TV in the medial compartment, and equal decrease in the lateral compartment,
+        dimensionless.
     middle_mm : float
-        Width of the transition between the medial and the lateral side, in mm.
+        Width of the transition between the medial and lateral compartment, in mm.
     load : float
-        Relative increase of BV/TV in the columns under the condyles, and decrease between these columns, dimensionless.
+        Relative increase in BV/TV in the columns below the condyles, and decrease between these columns, dimensionless.
     column_mm : float
-        Distance of the columns under the condyles from the midline, in mm.
+        Distance of the columns below the condyles from the midline, in mm.
     column_per_mm : float
-        Inverse of the half width of the columns under the condyles, in 1/mm.
+        Inverse of the half width of the columns below the condyles, in 1/mm.
     margin_mm : float
         Distance from the midline beyond which BV/TV decreases, in mm.
     margin_per_mm : float
-        Inverse of the distance beyond `margin_mm` at which BV/TV has decreased to half, in 1/mm.
+        Inverse of the distance beyond `margin_mm` at which BV/TV has decreased by half, in 1/mm.
     plate : float
-        Relative increase of BV/TV at the subchondral bone plate, dimensionless.
+        Relative increase in BV/TV at the subchondral bone plate, dimensionless.
     plate_per_mm : float
-        Inverse of the depth at which the increase at the plate has decreased to half, in 1/mm.
+        Inverse of the depth at which the increase at the subchondral bone plate has decreased by half, in 1/mm.
     plate_struts : float
-        Fraction of the increase at the plate that consists of thicker struts.
+        Fraction of the increase at the subchondral bone plate that is due to thicker struts, dimensionless.
     plate_medial : float
-        Relative increase of `plate` on the medial side, and decrease on the lateral side, dimensionless.
+        Relative increase in `plate` in the medial compartment, and decrease in the lateral compartment, dimensionless.
     between : float
-        Fraction of the increase at the plate that is missing under the medial spine.
+        Fraction of the increase at the subchondral bone plate that is absent below the medial spine, dimensionless.
     between_mm : float
-        Position along x of the reduction under the medial spine, in mm.
+        Position along x of the reduction below the medial spine, in mm.
     between_per_mm : float
-        Inverse of the distance from `between_mm` at which the reduction has decreased to a quarter, in 1/mm.
+        Inverse of the distance from `between_mm` at which the reduction has decreased to a quarter of its maximum, in
+        1/mm.
     struts : float
-        Relative increase of the strut contrast near the joint, dimensionless.
+        Relative increase in strut contrast near the joint, dimensionless.
     struts_per_mm : float
-        Inverse of the depth at which the increase of the strut contrast has decreased to a quarter, in 1/mm.
+        Inverse of the depth at which the increase in strut contrast has decreased to a quarter of its maximum, in 1/mm.
     hard_medial : float
-        Relative increase of BV/TV due to sclerosis on the medial side, dimensionless.
+        Relative increase in BV/TV due to sclerosis in the medial compartment, dimensionless.
     hard_lateral : float
-        Relative increase of BV/TV due to sclerosis on the lateral side, dimensionless.
+        Relative increase in BV/TV due to sclerosis in the lateral compartment, dimensionless.
     hard_per_mm : float
-        Inverse of the depth at which the increase due to sclerosis has decreased to a quarter, in 1/mm.
+        Inverse of the depth at which the increase due to sclerosis has decreased to a quarter of its maximum, in 1/mm.
     strut_convergence : float
-        Fraction by which struts converge far down the shaft.
+        Fraction by which the struts converge in the shaft far from the joint, dimensionless.
     strut_convergence_mm : float
-        Depth at which the struts have converged by half, in mm.
+        Depth at which half of the strut convergence is reached, in mm.
     strut_flattening : float
-        Factor by which horizontal struts are closer together, and vertical struts farther apart, than in the lattice.
+        Factor by which horizontal struts are closer together and vertical struts farther apart than in the lattice,
+        dimensionless.
     joint : (float, float, float)
         Circle in the sagittal plane that approximates the joint surface: centre y, centre z and radius, in mm.
     below : float
         Height above the centre of the circle `joint` beyond which the joint surface continues vertically, in mm.
     dips : three of (float, float, float)
-        Elevations of the joint surface along x: centre in mm, inverse of the half width in 1/mm, height in mm.
+        Elevations of the joint surface along x: centre in mm, inverse of the half width in 1/mm, and height in mm.
     rim : float
-        Fraction of bone that is missing in the rim of the medial plateau.
+        Fraction of the bone that is absent in the rim of the medial plateau, dimensionless.
     rim_from_mm : float
         Distance from the midline at which the rim begins, in mm.
     rim_mm : float
         Depth below the nominal joint surface at which the rim ends, in mm.
     rim_per_mm : float
-        Inverse of the width of the two transitions at the borders of the rim, in 1/mm.
+        Inverse of the width of the transitions at the two borders of the rim, in 1/mm.
     gain : float
         Contrast of the struts, from 0 (no contrast) to 1 (no bone between the struts).
     gain_load : float
-        Relative increase of the contrast in the columns under the condyles, dimensionless.
+        Relative increase in strut contrast in the columns below the condyles, dimensionless.
     gain_shaft : float
-        Contrast of the struts far down the shaft, from 0 to 1.
+        Contrast of the struts in the shaft far from the joint, from 0 to 1.
     scar_off_mm : float
-        Distance from the midline at which the physeal scar is strongest on either side, in mm.
+        Distance from the midline to the strongest medial and lateral points of the physeal scar, in mm.
     scar_y : float
-        Centre of the dome of the scar along y, in mm.
+        Centre of the dome of the physeal scar along y, in mm.
     scar_z : float
-        Height of the scar at its centre, in mm.
+        Height of the physeal scar at its centre, in mm.
     scar_phase : float
-        Phase of the ripple of the scar, in rad.
+        Phase of the ripple of the physeal scar, in rad.
     scar_slope : float
-        Slope of the scar towards medial, in mm per mm.
+        Slope of the physeal scar in the medial direction, in mm per mm.
     scar_bow_per_mm : float
-        Coefficient of x squared in the height of the scar, in 1/mm.
+        Coefficient of x squared in the height of the physeal scar, in 1/mm.
     scar_dome_per_mm : float
-        Coefficient of the squared distance from `scar_y` in the height of the scar, in 1/mm.
+        Coefficient of the squared distance from `scar_y` in the height of the physeal scar, in 1/mm.
     scar_ripple_mm : float
-        Amplitude of the ripple of the scar, in mm.
+        Amplitude of the ripple of the physeal scar, in mm.
     scar_ripple_per_mm : float
-        Angular frequency of the ripple of the scar along x, in rad/mm.
+        Angular frequency of the ripple of the physeal scar along x, in rad/mm.
     scar_bvtv : float
-        Largest BV/TV that the scar adds, dimensionless.
+        Largest BV/TV that the physeal scar adds, dimensionless.
     scar_lateral : float
-        Fraction of `scar_bvtv` on the lateral side.
+        Fraction of `scar_bvtv` in the lateral compartment, dimensionless.
     scar_medial : float
-        Fraction of `scar_bvtv` on the medial side.
+        Fraction of `scar_bvtv` in the medial compartment, dimensionless.
     scar_per_mm : float
-        Inverse of the half thickness of the scar, in 1/mm.
+        Inverse of half the thickness of the physeal scar, in 1/mm.
     scar_wide_per_mm : float
-        Inverse of the distance from the strongest point of the scar at which its BV/TV has decreased to a quarter, in
-        1/mm.
+        Inverse of the distance from the strongest point of the physeal scar at which its BV/TV has decreased to a
+        quarter, in 1/mm.
     sway_mm : float
-        Amplitude of the lateral waves of the struts, in mm at actual size.
+        Amplitude of the sideways waviness of the struts, in mm at actual size.
     sway_per_mm : float
-        Angular frequency of the lateral waves along z, in rad/mm.
+        Angular frequency of the sideways waviness along z, in rad/mm.
     sway_across : float
-        Angular frequency of the lateral waves along x, as a fraction of that along z.
+        Angular frequency of the sideways waviness along x, as a fraction of the frequency along z.
     sway_phase : float
-        Phase of the lateral waves, in rad.
+        Phase of the sideways waviness, in rad.
     scale : float
         Size of the bone relative to the template, dimensionless.
     per_scale : float
-        Inverse of `scale`.
+        Inverse of `scale`, dimensionless.
     marrow : float
-        Relative density without bone, dimensionless.
+        Relative density of bone marrow without bone, dimensionless.
     per_bvtv : float
         Relative density that a BV/TV of 1 adds, dimensionless.
     """

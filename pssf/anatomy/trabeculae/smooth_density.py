@@ -1,4 +1,4 @@
-"""Smooth density: evaluate the smooth part of the trabecular density and lattice coordinates at interval ends."""
+"""Smooth density: evaluate the smooth density component and the lattice coordinates at interval ends."""
 
 import math
 
@@ -15,39 +15,40 @@ from .segment_rows import (
     StrutVoxels,
 )
 
-# Pi in two parts, so that multiples of the first part are exact in double precision.
+# Pi as a sum of two numbers. Multiples of the first number are exact in double precision.
 _PI = (3.1415926534682512, 1.2154201013012384e-10)
-# Taylor coefficients of the sine from x^21 down to x^3; the remainder at a quarter turn is 2e-18.
+# Taylor coefficients of the sine from x^21 down to x^3. The truncation error at a quarter turn is 2e-18.
 _SINE_COEFFICIENTS = tuple((-1) ** k / math.factorial(2 * k + 1) for k in range(10, 0, -1))
 
 
 @kernel_helper()
 def _bell(x: float) -> float:
-    """Evaluate a bell curve: 1 at 0, a quarter at -1 and 1."""
+    """Evaluate a bell-shaped curve, which is 1 at 0 and 0.25 at -1 and +1."""
     fall = 1.0 / (1.0 + x * x)
     return fall * fall
 
 
 @kernel_helper()
 def _evaluate_soft_step(x: float) -> float:
-    """Evaluate a smooth step: 1 at 0, a half at 1, and approaching 0 beyond."""
+    """Evaluate a smooth step, which is 1 at 0, 0.5 at 1 and approaches 0 at infinity."""
     return 1.0 / (1.0 + x * x * x * x * x * x)
 
 
 @kernel_helper()
 def _sigmoid(x: float) -> float:
-    """Evaluate a smooth step from 0 at minus infinity to 1 at infinity."""
+    """Evaluate a smooth step that increases from 0 at minus infinity to 1 at plus infinity."""
     return 0.5 + 0.5 * x / math.sqrt(1.0 + x * x)
 
 
 @kernel_helper()
 def _sine(x: float) -> float:
-    """Compute the sine to 3e-16 by arithmetic that compiles to vector instructions.
+    """Compute the sine with an error of 3e-16, by arithmetic that compiles to vector instructions.
 
     The argument may be thousands of radians.
     """
     half = np.int32(x * (1.0 / math.pi) + (PERIOD_OFFSET + 0.5))
-    # Whole half turns are subtracted with pi in two parts, because the product with the first part is exact.
+    # Entire half turns are subtracted in two steps, one for each summand of pi, because the product with the first
+    # summand is exact.
     x = (x - (half - PERIOD_OFFSET) * _PI[0]) - (half - PERIOD_OFFSET) * _PI[1]
     square, series = x * x, 0.0
     for term in _SINE_COEFFICIENTS:
@@ -58,14 +59,14 @@ def _sine(x: float) -> float:
 
 @kernel_helper()
 def _rim_bone_fraction(x: float, below_mm: float, region: DensityParameters) -> float:
-    """Compute the factor on BV/TV due to the rim of the medial plateau: below 1 in the rim, 1 elsewhere."""
+    """Compute the factor by which the rim of the medial plateau reduces BV/TV: below 1 in the rim, 1 elsewhere."""
     beyond, above = x - region.rim_from_mm, region.rim_mm - below_mm
     return 1.0 - region.rim * _sigmoid(beyond * region.rim_per_mm) * _sigmoid(above * region.rim_per_mm)
 
 
 @kernel_helper()
 def _height_over_scar_mm(x: float, y: float, z: float, region: DensityParameters) -> float:
-    """Compute the height of a point above the surface of the physeal scar, mm."""
+    """Compute the height of a point above the surface of the physeal scar, in mm."""
     back = y - region.scar_y
     over = z - region.scar_z - region.scar_slope * x - region.scar_bow_per_mm * x * x
     over -= region.scar_dome_per_mm * back * back
@@ -74,14 +75,14 @@ def _height_over_scar_mm(x: float, y: float, z: float, region: DensityParameters
 
 @kernel_helper()
 def _strut_sway_mm(across: float, up: float, region: DensityParameters) -> float:
-    """Compute the lateral displacement of struts, mm: two oblique waves whose lengths have no common period."""
+    """Compute the sideways displacement of struts, in mm: the sum of two oblique waves without a common period."""
     wave, other = up * region.sway_per_mm + region.sway_phase, across * region.sway_per_mm * region.sway_across
     return region.sway_mm * (_sine(wave + other) + 0.6 * _sine(1.618 * (wave - other)))
 
 
 @kernel_helper()
 def _depth_below_joint_mm(x: float, y: float, z: float, region: DensityParameters) -> float:
-    """Compute the depth of a point below the nominal joint surface of its bone, mm, negative outside."""
+    """Compute the depth of a point below the nominal joint surface of its bone, in mm, negative outside the bone."""
     surface = 0.0
     for dip in region.dips:
         surface += dip[2] * _bell((x - dip[0]) * dip[1])
@@ -91,14 +92,14 @@ def _depth_below_joint_mm(x: float, y: float, z: float, region: DensityParameter
 
 @kernel_helper()
 def fill_nodes(lanes: Array, region: DensityParameters, struts: StrutVoxels) -> None:
-    """Write density and lattice coordinates at the far ends of the current intervals into the work array.
+    """Write the density and the lattice coordinates at the far ends of the current intervals into the work array.
 
     Parameters
     ----------
     lanes : (40 * LANES,) float64 array, mm or voxels
-        Work array with rows as in `segment_rows`; the block `FAR` is overwritten.
+        Work array with the rows of `segment_rows`. The block `FAR` is overwritten.
     region : DensityParameters
-        Smooth part of the density.
+        Parameters of the smooth density component.
     struts : StrutVoxels
         Strut lattice and its position in the bone.
     """

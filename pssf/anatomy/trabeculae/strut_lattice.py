@@ -1,4 +1,4 @@
-"""Strut lattice: synthesise the trabecular struts of a knee as a periodic block by FFT, from a seed."""
+"""Strut lattice: synthesise the trabecular struts of a knee from a seed, as a periodic block, by FFT."""
 
 from functools import lru_cache
 from threading import Lock
@@ -10,19 +10,19 @@ from scipy import fft
 from ...data.anatomy.trabecular_table import StrutLattice
 
 VoxelBlock = NDArray[np.uint8]
-# Limit of the exponent: at this value the bone content is 0, and above 88 the exponential overflows.
+# Largest exponent. At an exponent of 80, the bone content is 0; above 88, the exponential overflows.
 _EXPONENT_LIMIT = np.float32(80.0)
-# Number of planes that are processed together; their float32 data fit into the processor cache.
+# Number of planes that are processed together. Their float32 data fit into the processor cache.
 _PLANES_PER_CHUNK = 8
-# Largest deviation of a person from the median, in standard deviations (values beyond it are clipped).
+# Largest deviation of one person from the median, in standard deviations. Larger deviations are clipped to this value.
 _MAX_SD = 2.0
-# Lock of the cache, which stores only the last lattice.
+# Lock for the cache, which stores only the last lattice.
 _LOCK = Lock()
 _CACHE: dict[tuple[int, StrutLattice], tuple[VoxelBlock, float]] = {}
 
 
 def make_strut_lattice(seed: int, table: StrutLattice) -> tuple[VoxelBlock, float]:
-    """Make the strut lattice of a knee, or return it if the last call had the same arguments.
+    """Make the strut lattice of a knee, or return the cached lattice if the last call had the same arguments.
 
     Parameters
     ----------
@@ -34,17 +34,18 @@ def make_strut_lattice(seed: int, table: StrutLattice) -> tuple[VoxelBlock, floa
     Returns
     -------
     block : (nx + 1, nz + 1, ny) uint8 array
-        Bone content of the voxels, from 0 (none) to 255 (solid), read-only and periodic. The first voxel in x and in z
-        is repeated after the last one, so every voxel has its neighbour at the same offset.
+        Bone content of the voxels, from 0 (none) to 255 (solid), read-only and periodic. The first voxel along x and
+        along z is repeated after the last voxel, so that every voxel has its neighbours at the same offsets.
     normalisation : float
-        Factor that makes the mean of the lattice 1.
+        Factor that normalises the mean of the lattice to 1.
 
     Notes
     -----
-    The lattice is a Gaussian random field with a soft threshold: bone where the field is high, nearly none elsewhere.
-    The y axis comes last in memory, because rays run approximately along it. Only the last lattice is kept.
+    The lattice is a Gaussian random field with a soft threshold: bone where the field is high, and almost no bone
+    elsewhere. The y axis is the last axis in memory, because rays are approximately parallel to it. Only the last
+    lattice is cached.
     """
-    with _LOCK:  # A second thread waits until the first thread has made the lattice.
+    with _LOCK:  # If another thread is making the lattice, wait until it is finished.
         if (seed, table) not in _CACHE:
             _CACHE.clear()
             _CACHE[seed, table] = _synthesise_lattice(seed, table)
@@ -52,7 +53,7 @@ def make_strut_lattice(seed: int, table: StrutLattice) -> tuple[VoxelBlock, floa
 
 
 def sample_personal_factor(spread: float, rng: np.random.Generator) -> float:
-    """Sample the factor by which a person differs from the median, from a lognormal distribution.
+    """Sample the ratio between the value of one person and the median, from a lognormal distribution.
 
     Parameters
     ----------
@@ -70,7 +71,7 @@ def sample_personal_factor(spread: float, rng: np.random.Generator) -> float:
 
 
 def _synthesise_lattice(seed: int, table: StrutLattice) -> tuple[VoxelBlock, float]:
-    """Synthesise the block (nx + 1, nz + 1, ny) uint8 and the factor that makes its mean 1."""
+    """Synthesise the block (nx + 1, nz + 1, ny) uint8, and compute the factor that normalises its mean to 1."""
     nx, nz, ny = table.voxels
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
     usual, spread = table.patches
@@ -78,7 +79,7 @@ def _synthesise_lattice(seed: int, table: StrutLattice) -> tuple[VoxelBlock, flo
     struts, patches = _compute_power_spectra(table)
     amplitude = np.sqrt((1 - share) * struts + share * patches, dtype=np.float32)
     waves = rng.standard_normal((nx, nz, 2 * amplitude.shape[2]), np.float32).view(np.complex64)
-    # The power is the same at f and -f; an FFT has negative frequencies in its second half, in reverse order.
+    # The power is equal at f and -f. An FFT stores negative frequencies in its second half, in reverse order.
     across, up = (np.minimum(np.arange(n), n - np.arange(n)) for n in (nx, nz))
     for i, wave in enumerate(waves):
         wave *= amplitude[across[i], up]
@@ -99,7 +100,7 @@ def _synthesise_lattice(seed: int, table: StrutLattice) -> tuple[VoxelBlock, flo
 
 @lru_cache(maxsize=2)
 def _compute_power_spectra(table: StrutLattice) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Compute the power spectra of struts and of patches, each with variance 1.
+    """Compute the power spectra of the struts and of the patches, each normalised to variance 1.
 
     Each spectrum has shape (nx / 2 + 1, nz / 2 + 1, waves along y) and contains only non-negative frequencies.
     """
@@ -113,18 +114,18 @@ def _compute_power_spectra(table: StrutLattice) -> tuple[NDArray[np.float32], ND
     power = (total + np.float32(table.low_per_mm) ** 2) ** np.float32(table.low_frequency_exponent / 2)
     power /= 1 + (total / np.float32(table.high_per_mm) ** 2) ** np.float32(table.high_frequency_exponent / 2)
     power *= table.vertical_power * up + table.horizontal_power * level + table.isotropic_power
-    # Patches of dense and sparse bone have equal extent along x and y and a larger extent along z.
+    # Patches of dense and sparse bone have equal extents along x and y, and a larger extent along z.
     tall, deep = np.float32(table.patch_aspect_ratio), np.float32(table.stretch_y)
     patches = np.exp(-(fx**2 + (fz * tall) ** 2 + (fy / deep) ** 2) / (2 * table.patch_per_mm**2))
     return _normalise_variance(power, table), _normalise_variance(patches, table)
 
 
 def _normalise_variance(power: NDArray[np.float32], table: StrutLattice) -> NDArray[np.float32]:
-    """Normalise a power spectrum (nx / 2 + 1, nz / 2 + 1, waves along y) in place to a field of variance 1."""
+    """Normalise a power spectrum (nx / 2 + 1, nz / 2 + 1, waves along y) in place, so that the field has variance 1."""
     power[0, 0, 0] = 0
-    # Along x and z, each frequency counts for both signs; 0 and the highest frequency count once. Along y, the array
-    # has the half spectrum of a real transform. The transform treats half of the plane fy = 0 as mirror image of the
-    # other half. The power of this plane is therefore doubled.
+    # Along x and z, each frequency represents both signs; only 0 and the highest frequency occur once. Along y, the
+    # array contains the half spectrum of a real transform. This transform treats one half of the plane fy = 0 as the
+    # mirror image of the other half. The power of the plane is therefore doubled.
     of = [np.where((np.arange(n // 2 + 1) == 0) | (np.arange(n // 2 + 1) == n // 2), 1, 2) for n in table.voxels[:2]]
     held = np.einsum("i,j,ijk->k", *of, power, dtype=np.float64) * np.where(np.arange(power.shape[2]), 4, 2)
     power /= np.float32(held.sum())

@@ -1,8 +1,8 @@
 """Trabecular density of each bone, computed from a texture seed and independent of protocol and pose.
 
-BV/TV is m (1 + g (lattice - 1)), plus the physeal scar. Here m(x, y, z) is the smooth mean, and g is the contrast of
-the struts. The lattice of struts is non-negative and has mean 1. With 0 <= g <= 1, BV/TV is never negative. Relative
-density is the density of the bone-marrow mixture divided by the tabulated density of trabecular bone.
+BV/TV is m (1 + g (lattice - 1)), plus the physeal scar. In this formula, m(x, y, z) is the smooth mean, and g is the
+strut contrast. The strut lattice is non-negative and has mean 1. With 0 <= g <= 1, BV/TV is never negative. Relative
+density is the density of the mixture of bone and marrow, divided by the tabulated density of trabecular bone.
 """
 
 from dataclasses import dataclass
@@ -35,26 +35,26 @@ BONES = ("femur", "tibia", "fibula", "patella", "fabella")
 _DENSITY_SOURCE_BONE = {"fabella": "patella"}
 # Samples per voxel of the lattice.
 FINE = 1
-# Samples per interval of a segment; the smooth part of the density is linear within an interval.
+# Samples per interval of a segment. The smooth density component is linear within an interval.
 PIECE = 10
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trabeculae:
-    """Relative density of the trabecular bone of one bone; implements `Density`.
+    """Relative trabecular density of one bone; implements `Density`.
 
     Attributes
     ----------
     density_parameters : DensityParameters
-        Smooth part of the density.
+        Parameters of the smooth density component.
     seed : int
-        Seed of the strut lattice, which is made when it is first needed.
+        Seed of the strut lattice, which is made at first use.
     lattice_table : StrutLattice
         Parameters of the strut lattice of this knee.
     shift : (float, float, float)
         Position of the bone in the lattice along x, z and y, in voxels.
     knee_to_bone : tuple of 12 float
-        Transform (3, 4) from the knee frame to the frame of the bone, row by row, in mm.
+        Transform (3, 4) from the knee frame to the frame of the bone, in row-major order, in mm.
     """
 
     density_parameters: DensityParameters
@@ -76,12 +76,13 @@ class Trabeculae:
         Returns
         -------
         (n,) float64 array
-            Integrals in mm. Integrals over the parts of a segment add up to the integral over the whole segment.
+            Integrals in mm. The integrals over consecutive parts of a segment add up to the integral over the entire
+            segment.
         """
         return self.integrate_with_steps(starts_mm, ends_mm, FINE, PIECE)
 
     def integrate_with_steps(self, starts_mm: Array, ends_mm: Array, fine: int, piece: int) -> Array:
-        """Integrate relative density along straight segments with a given sampling density.
+        """Integrate relative density along straight segments with a specified number of samples.
 
         Parameters
         ----------
@@ -92,7 +93,7 @@ class Trabeculae:
         fine : int
             Samples per voxel of the lattice.
         piece : int
-            Samples per interval of a segment; the smooth part of the density is linear within an interval.
+            Samples per interval of a segment. The smooth density component is linear within an interval.
 
         Returns
         -------
@@ -134,13 +135,13 @@ def build_trabeculae(
     table : TrabecularBone
         Distribution of trabecular bone and parameters of the strut lattice.
     seed : int
-        Texture seed of the knee. The bones of a knee use different parts of one lattice.
+        Texture seed of the knee. The bones of a knee use different portions of one lattice.
     scale : float
-        Size of the bone relative to the template, from 0.5 to 2. Struts do not scale with it.
+        Size of the bone relative to the template, from 0.5 to 2. The size of the struts does not depend on it.
     frame : (3, 4) float64 array, mm
         Rigid transform from the frame of the bone to the frame of a right knee.
     mirror : (float, float, float)
-        Factors of 1 or -1 by which the right knee is mirrored in x, y and z; a left knee is mirrored in x.
+        Factors of +1 or -1 by which the right knee is mirrored along x, y and z. A left knee is mirrored along x.
     sclerosis : float
         Thickness of the subchondral bone plate relative to a healthy plate, from 0.5 to 2.5 (`Knee.subchondral_plate`).
     age_years : float
@@ -150,7 +151,7 @@ def build_trabeculae(
     density : float
         Density relative to the mean for the age and sex, from 0.4 to 1.8 (`Knee.bone_density`).
     sclerotic_side : str
-        "medial" or "lateral": side with more sclerosis (`Knee.sclerotic_side`).
+        "medial" or "lateral": compartment with more sclerosis (`Knee.sclerotic_side`).
 
     Returns
     -------
@@ -160,7 +161,7 @@ def build_trabeculae(
     Raises
     ------
     InputError
-        The bone, sex, side or mirror is unknown, a value is out of range, or the frame is not rigid.
+        If the bone, sex, side or mirror is unknown, if a value is out of range, or if the frame is not rigid.
     """
     require_choice("bone", bone, BONES)
     require_choice("sex", sex, ("male", "female"))
@@ -185,7 +186,9 @@ def build_trabeculae(
 
 
 def build_healthy_tibia_trabeculae(table: TrabecularBone, *, seed: int) -> Trabeculae:
-    """Build the trabecular density of a healthy male tibia of template size at 55 years, in its own frame.
+    """Build the trabecular density of a healthy male tibia at template size and an age of 55 years.
+
+    The density is in the frame of the tibia.
 
     Parameters
     ----------
@@ -202,7 +205,7 @@ def build_healthy_tibia_trabeculae(table: TrabecularBone, *, seed: int) -> Trabe
     Raises
     ------
     InputError
-        The seed is out of range.
+        If the seed is out of range.
     """
     return build_trabeculae(
         "tibia",
@@ -219,7 +222,7 @@ def build_healthy_tibia_trabeculae(table: TrabecularBone, *, seed: int) -> Trabe
 
 
 def make_struts(table: TrabecularBone, *, seed: int, sclerosis: float, age_years: float, sex: str) -> None:
-    """Make the strut lattice of a knee in advance, so that later integrals find it in memory.
+    """Make and cache the strut lattice of a knee, so that later integrals can use it.
 
     Parameters
     ----------
@@ -245,17 +248,17 @@ def _resolve_density_parameters(
     sclerosis_and_side: tuple[float, str],
     age_factors: tuple[float, float],
 ) -> DensityParameters:
-    """Compute the parameters of the smooth part of the density of a bone.
+    """Compute the parameters of the smooth density component of a bone.
 
-    `uniform_samples` are seven numbers from 0 to 1. The first five set the scar: height, lateral strength, position
-    along x and along y, and phase of the ripple. The sixth sets the phase of the lateral waves of the struts. The
-    seventh sets the medial strength of the scar. `sclerosis_and_side` is the relative thickness of the plate and the
-    more sclerotic side. `age_factors` multiply BV/TV and strut contrast.
+    `uniform_samples` are seven numbers from 0 to 1. Numbers 1 to 5 set the physeal scar: height, lateral strength,
+    position along x, position along y, and phase of the ripple. Number 6 sets the phase of the sideways waviness of the
+    struts. Number 7 sets the medial strength of the scar. `sclerosis_and_side` is the relative thickness of the
+    subchondral bone plate and the more sclerotic compartment. `age_factors` multiply BV/TV and strut contrast.
     """
     sclerosis, side = sclerosis_and_side
     part, hard, tissue = getattr(table, _DENSITY_SOURCE_BONE.get(bone, bone)), table.sclerosis, table.tissue
     excess = part.sclerosis * hard.per_plate * (sclerosis - 1)
-    # A plate thinner than a healthy plate removes at most the increase of BV/TV at a healthy plate.
+    # A plate thinner than a healthy plate reduces BV/TV by at most the increase that a healthy plate causes.
     shares = (1.0, hard.other_side_deep) if side == "medial" else (hard.other_side_deep, 1.0)
     added = [max(-part.plate, (1 + part.plate) * excess * share) for share in shares]
     left, contrast = age_factors
@@ -289,7 +292,7 @@ def _resolve_scar_parameters(
 ) -> dict[str, float]:
     """Compute the fields of `DensityParameters` for the position and strength of the physeal scar.
 
-    `uniform_samples` are the numbers that `_resolve_density_parameters` describes.
+    `uniform_samples` are described in `_resolve_density_parameters`.
     """
     lateral, medial = (scar.least + (1 - scar.least) * uniform_samples[n] for n in (1, 6))
     return {
@@ -306,14 +309,14 @@ def _resolve_scar_parameters(
 
 
 def _invert_lengths(part: TrabecularDensityProfile) -> dict[str, float]:
-    """Compute the inverse lengths of `DensityParameters` from a density profile, 1/mm."""
+    """Compute the inverse lengths in `DensityParameters` from a density profile, in 1/mm."""
     halves = ("between", "column", "margin", "rim", "scar", "struts")
     lengths = {name: f"{name}_mm" for name in ("fade", "plate")} | {name: f"{name}_half_mm" for name in halves}
     return {f"{name}_per_mm": 1 / getattr(part, field) for name, field in lengths.items()}
 
 
 def _compute_age_factors(ageing: Ageing, age_years: float, sex: str, density: float) -> tuple[float, float]:
-    """Compute the factors of age, sex and person on BV/TV and on strut contrast."""
+    """Compute the factors by which age, sex and individual density change BV/TV and strut contrast."""
     years = age_years - ageing.reference_years
     return density * (1 - ageing.per_year * years) * ageing.mean[sex], 1 + ageing.contrast_per_year[sex] * years
 
@@ -333,11 +336,14 @@ def _personalise_lattice(
 
 
 def _invert_transform(frame: Array, mirror: Triple) -> tuple[float, ...]:
-    """Invert a rigid transform (3, 4) and a mirroring; return the transform from knee to bone frame, row by row."""
+    """Invert a rigid transform (3, 4) and a mirroring.
+
+    The result maps the knee frame to the bone frame, in row-major order.
+    """
     turn = frame[:, :3]
     if frame.shape != (3, 4) or not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
-        raise InputError(f"frame must be a rotation and a translation, (3, 4), got {frame.tolist()}")
+        raise InputError(f"frame must be a rotation and a translation as a (3, 4) array, got {frame.tolist()}")
     if len(mirror) != 3 or not set(mirror) <= {-1.0, 1.0}:
-        raise InputError(f"mirror must be three factors of 1 or -1, got {mirror!r}")
+        raise InputError(f"mirror must be three factors, each 1 or -1, got {mirror!r}")
     flip = np.diag(mirror)
     return tuple(np.column_stack((turn.T @ flip, -turn.T @ frame[:, 3])).ravel().tolist())

@@ -1,4 +1,4 @@
-"""Parallel work in local processes and on the workers of a Dask cluster.
+"""Run work in parallel, in local processes or on the workers of a Dask cluster.
 
 execution           number of processes or scheduler, progress display and timer of a run
 parallel_map        map a function over items in several processes; their number does not affect the results

@@ -1,7 +1,7 @@
 """Start Python processes that ignore the files of the working folder.
 
-A new Python process searches the working folder first for modules. A file ``signal.py`` in the working folder would
-replace the module of the standard library in every worker.
+A new Python process searches for modules in the working folder first. A file ``signal.py`` in this folder would
+therefore replace the standard module ``signal`` in every worker.
 """
 
 import os
@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-# Code of the child process: it sets the import path to the path of the parent process before any other import.
+# Code of a child process, which copies the import path of the parent process before any other import.
 _CODE = "import sys; sys.path[:] = sys.argv.pop(1).splitlines(); {code}"
 _SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
 
@@ -19,8 +19,7 @@ _SAFE_PATH_VARIABLE = "PYTHONSAFEPATH"
 def start_without_working_folder() -> Iterator[None]:
     """Start multiprocessing workers in this context without the working folder in their initial import path.
 
-    The workers run the main script of the parent process only if it is a file. A script from standard input is not a
-    file.
+    The workers run the main script of the parent process only if the script is a file, not if it is standard input.
 
     Yields
     ------

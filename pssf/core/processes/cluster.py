@@ -22,20 +22,20 @@ from distributed.scheduler import KilledWorker
 from ..checks import InputError
 from .worker_processes import WorkersLostError, limit_to_one_thread
 
-# Time limit for an answer of the scheduler, in s.
+# Time limit for an answer of the scheduler, in s (assumed).
 _CONNECT_TIMEOUT_S = 10
-# Time limit for a worker to connect, in s. A worker that was killed first loads all libraries again.
+# Time limit for a worker to connect, in s (assumed; a restarted worker must first load all libraries).
 _WORKER_WAIT_S = 30
-# Pause between two queries of the workers, in s.
+# Pause between two queries of the workers, in s (assumed).
 _RETRY_DELAY_S = 0.5
-# Number of times that the workers are queried.
+# Maximum number of queries of the workers (assumed).
 _QUERY_ATTEMPTS = 10
 # Lock that makes a worker with several threads process one item at a time, because thread limits apply to the process.
 _ONE_ITEM_LOCK = threading.Lock()
 
 
 def require_cluster_workers(address: str, modules: tuple[str, ...] = ()) -> None:
-    """Require that a scheduler answers, and that its workers have the same version of the package.
+    """Require that a scheduler answers, and that its workers have the local version of pssf.
 
     Parameters
     ----------
@@ -47,8 +47,8 @@ def require_cluster_workers(address: str, modules: tuple[str, ...] = ()) -> None
     Raises
     ------
     InputError
-        If the address is malformed, the scheduler does not answer or has no workers, or a worker has another version of
-        pssf, or lacks a module.
+        If the address is malformed, or the scheduler does not answer or has no workers. If a worker has another version
+        of pssf or lacks a module.
     """
     with _connect(address) as client:
         answers = _query_workers(client, modules)
@@ -95,7 +95,7 @@ def run_on_cluster(
     address : str
         Address of the scheduler, such as "tcp://host:8786".
     on_result : callable
-        Function that is called with the index and the result of each item when the item is done.
+        Function that is called with the index and the result of each finished item.
 
     Raises
     ------
@@ -106,19 +106,24 @@ def run_on_cluster(
     """
     with _connect(address) as client:
         try:
-            # The shared arguments are the result of a task, because Dask can repeat a task if its worker is lost.
-            # Items and arguments are pickled, because Dask would search every list in them for tasks.
+            # The shared arguments are submitted as a task, because Dask can repeat a task if its worker is lost. Items
+            # and arguments are pickled, because Dask would otherwise search every list in them for tasks.
             held = client.submit(bytes, pickle.dumps(shared), pure=False)
             pickled = [pickle.dumps(item) for item in items]
             futures = client.map(_run_item, pickled, function=function, shared=held, pure=False)
             indices = {future: index for index, future in enumerate(futures)}
             for future in as_completed(futures, loop=client.loop):
                 on_result(indices[future], future.result())
-                future.release()  # Dask would repeat the item if its worker died while the result is still referenced.
+                # Dask would repeat a finished item if its worker died while the result was still referenced.
+                future.release()
         except KilledWorker:
-            raise WorkersLostError("workers of the cluster were killed repeatedly; memory may be short") from None
+            raise WorkersLostError(
+                "workers of the cluster were killed repeatedly; memory may be insufficient; run fewer workers"
+            ) from None
         except (CancelledError, CommClosedError):
-            raise WorkersLostError(f"the connection to scheduler {address} was lost") from None
+            raise WorkersLostError(
+                f"the connection to scheduler {address} was lost; restart the scheduler, then repeat the command"
+            ) from None
 
 
 @contextmanager
@@ -143,7 +148,8 @@ def _query_workers(client: Client, modules: tuple[str, ...]) -> list[Any]:
         except TimeoutError:
             break
         replies = client.run(_describe_worker, modules, on_error="return").values()
-        # A worker that dies during the query gives an OSError, and is usually started again. So the query is repeated.
+        # A worker that dies during the query gives an OSError, and is usually started again. Therefore the query is
+        # repeated.
         answers = [reply for reply in replies if not isinstance(reply, OSError)]
         if answers:
             return answers

@@ -1,4 +1,4 @@
-"""Settings of a run that do not affect the results: processes or cluster, progress display, timer."""
+"""Define the settings of a run that do not affect its results: processes or cluster, progress display, timer."""
 
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -19,7 +19,7 @@ class Execution:
     workers : int, default 1
         Number of local processes.
     scheduler : str or None, default None
-        Address of a Dask scheduler whose workers run the work; None uses local processes.
+        Address of a Dask scheduler whose workers process the items; None uses local processes.
     progress_bar : callable
         Function that displays the progress of a stage, such as `progress_display.show_progress_bar`. By default nothing
         is displayed.

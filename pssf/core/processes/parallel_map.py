@@ -25,7 +25,7 @@ from .worker_processes import WorkersLostError, limit_to_one_thread, retain_free
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# Number of times in a row that workers may be killed without a new result before the work stops with an error.
+# Number of consecutive worker kills without a new result after which the run stops with an error (assumed).
 _MAX_KILLS_IN_A_ROW = 3
 
 # Global variable of a worker process: keyword arguments that are the same for all items.
@@ -40,7 +40,7 @@ def count_cores() -> int:
     Returns
     -------
     int
-        Number of cores, 256 at most. It is 1 in a daemonic process, which cannot start other processes.
+        Number of cores, at most 256; 1 in a daemonic process, which cannot start other processes.
     """
     if current_process().daemon:
         return 1
@@ -73,9 +73,10 @@ def map_in_parallel(
     workers : int, default 1
         Number of local processes.
     scheduler : str or None, default None
-        Address of a Dask scheduler, such as "tcp://host:8786", whose workers run the work. None uses local processes.
+        Address of a Dask scheduler, such as "tcp://host:8786", whose workers process the items. None uses local
+        processes.
     on_result : callable or None, default None
-        Function that is called with the index and the result of each item when the item is done, in any order.
+        Function that is called with the index and the result of each finished item. Items may finish in any order.
 
     Returns
     -------
@@ -130,7 +131,7 @@ def require_scheduler(address: str, modules: tuple[str, ...] = ()) -> None:
     ------
     InputError
         If the package distributed is missing, or the address is malformed. If the scheduler does not answer, or a
-        worker lacks pssf, its version or a module.
+        worker lacks pssf, has another version of pssf, or lacks a module.
     """
     if find_spec("distributed") is None:
         raise InputError(
@@ -149,7 +150,7 @@ def _run_in_processes(
     workers: int,
     on_result: Callable[[int, Result], None],
 ) -> None:
-    """Process all items in a pool of processes; start a new pool after a worker was killed."""
+    """Process all items in a pool of processes; start a new pool after a worker has been killed."""
     left = list(range(len(items)))
 
     def arrived(index: int, result: Result) -> None:
@@ -159,8 +160,8 @@ def _run_in_processes(
     killed = 0
     while left:
         before = len(left)
-        # If a worker is killed, the whole pool ends, and all items in progress are lost. If the pool gave no result,
-        # the next pool gets a single item. After a success, the next pool gets all remaining items.
+        # If a worker is killed, the entire pool ends, and all items in progress are lost. If the pool returned no
+        # result, the next pool receives a single item. After a result, the next pool receives all remaining items.
         batch = left[:1] if killed else left
         try:
             _run_pool(function, {index: items[index] for index in batch}, shared, workers, arrived)
@@ -169,8 +170,8 @@ def _run_in_processes(
             killed = killed + 1 if len(left) == before else 0
             if killed == _MAX_KILLS_IN_A_ROW:
                 raise WorkersLostError(
-                    f"worker processes were killed {killed} times in a row; memory may be short, or a script starts "
-                    'workers outside of `if __name__ == "__main__"`'
+                    f"worker processes were killed {killed} times in a row; memory may be insufficient, or a script "
+                    'starts workers outside of `if __name__ == "__main__"`'
                 ) from None
             if killed:
                 in_hand = 1 if killed > 1 else workers
@@ -214,7 +215,7 @@ def _run_pool(
 
 @dataclass
 class _PoolState:
-    """Pool that is kept between calls, because a process takes seconds to start and to import libraries."""
+    """Keep the process pool between calls, because a new process takes seconds to start and to import libraries."""
 
     pool_key: tuple[Any, ...] = ()
     pool: ProcessPoolExecutor | None = None
@@ -225,13 +226,13 @@ _pool_state = _PoolState()
 
 
 def _open_pool(workers: int) -> ProcessPoolExecutor:
-    """Return the existing pool if its settings are still valid; otherwise start a new one."""
+    """Return the existing pool if its settings are still valid; otherwise, start a new pool."""
     now = (workers, os.getcwd(), tuple(sys.path), tuple(sorted(os.environ.items())))
     if _pool_state.pool is None or _pool_state.pool_key != now:
         _shut_down_pool()
         # Workers are spawned, because a forked copy of a process with threads (ITK, OpenMP) may hang.
         context = get_context("spawn")
-        with start_without_working_folder():  # The first barrier starts a further process, the resource tracker.
+        with start_without_working_folder():  # The first barrier also starts the resource tracker, which is a process.
             _pool_state.pool = ProcessPoolExecutor(workers, context, _initialise_worker, (context.Barrier(workers),))
         _pool_state.pool_key = now
     return _pool_state.pool
@@ -257,7 +258,8 @@ def _share_with_workers(shared: dict[str, Any], pool: ProcessPoolExecutor, worke
 def _block_interrupts() -> Iterator[None]:
     """Block the interrupt signal for processes that start in this context.
 
-    On Ctrl-C a terminal sends the signal to all processes. The parent process ends the workers itself.
+    On Ctrl-C, a terminal sends the interrupt signal to all processes. The workers ignore it, because the parent process
+    terminates them.
     """
     if not hasattr(signal, "pthread_sigmask"):
         yield

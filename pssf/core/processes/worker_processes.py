@@ -12,24 +12,25 @@ from multiprocessing import parent_process
 from manifold3d import Manifold
 from threadpoolctl import threadpool_limits
 
-# Option M_TRIM_THRESHOLD of malloc.h: the process keeps freed memory up to a limit.
+# Code of the option M_TRIM_THRESHOLD in malloc.h, the amount of freed memory that a process retains.
 _TRIM_THRESHOLD = -1
-# Option M_MMAP_THRESHOLD of malloc.h: arrays up to a limit are allocated in memory that the process already has.
+# Code of the option M_MMAP_THRESHOLD in malloc.h, the array size up to which a process reuses its own memory.
 _MMAP_THRESHOLD = -3
-# Value of M_TRIM_THRESHOLD and M_MMAP_THRESHOLD, in bytes.
+# Value of the options M_TRIM_THRESHOLD and M_MMAP_THRESHOLD, in bytes (assumed).
 _LARGE = 2**30
-# Number of segments of a sphere with so many triangles that manifold3d would use several threads.
+# Number of segments of a sphere whose many triangles cause manifold3d to choose its number of threads (assumed).
 _SPHERE_SEGMENTS = 400
 
 
 class WorkersLostError(RuntimeError):
-    """Report that workers were killed repeatedly or a cluster was lost; results delivered before are kept."""
+    """Report that workers were killed repeatedly or that a cluster was lost; earlier results remain valid."""
 
 
 def retain_freed_memory() -> None:
-    """Keep freed memory in this process for later arrays, if the C library is the GNU C library.
+    """Retain freed memory in this process for later arrays, if the C library is the GNU C library.
 
-    Otherwise the simulation of many radiographs spends a tenth of its time on returning and requesting memory pages.
+    Without this setting, the simulation of many radiographs spends a tenth of its time on releasing and requesting
+    memory pages.
     """
     if sys.platform == "linux":
         with suppress(OSError, AttributeError):
@@ -59,7 +60,7 @@ def limit_manifold_to_one_thread() -> None:
     """Limit manifold3d to one thread for the lifetime of this process; call it before manifold3d builds a solid.
 
     manifold3d has no option for the number of threads. It counts the cores when it first processes many triangles. If
-    every core has a process, further threads of manifold3d cost about 3 % of the time.
+    every core already runs a process, additional threads of manifold3d increase the run time by about 3 %.
     """
     with limit_to_one_core():
         ball = Manifold.sphere(1.0, _SPHERE_SEGMENTS)
@@ -78,11 +79,11 @@ def limit_to_one_thread() -> Iterator[None]:
     if parent_process() is not None:
         limit_manifold_to_one_thread()
     if find_spec("SimpleITK"):
-        # Otherwise each process would start as many threads as there are cores, and the threads would compete.
+        # By default, SimpleITK starts one thread per core in every process, and the processes would compete.
         import SimpleITK as sitk  # noqa: N813
 
         sitk.ProcessObject.SetGlobalDefaultNumberOfThreads(1)
-    # With one thread, the order of the terms of a sum, and so its last bit, is the same on every machine.
+    # With one thread, sums are computed in the same order, and have the same last bit, on every machine.
     with threadpool_limits(1):
         yield
 
@@ -91,7 +92,7 @@ def limit_to_one_thread() -> Iterator[None]:
 def limit_to_one_core() -> Iterator[None]:
     """Restrict this process to one core while the context is open, so that libraries count one core.
 
-    The function has no effect on systems that cannot restrict a process to some cores.
+    The function has no effect on systems that cannot assign a process to selected cores.
 
     Yields
     ------

@@ -20,17 +20,17 @@ class BenchmarkDefinition(Record, frozen=True):
     version : str
         Version of the data set.
     title : str
-        Title.
+        Title of the data set.
     description : str
-        Description.
+        Description of the data set.
     keywords : tuple of str
-        Keywords.
+        Keywords of the data set.
     date : str
         Date of release, YYYY-MM-DD.
     license : str
         Web address of the licence.
     creator : str
-        Creator.
+        Creator of the data set.
     url : str
         Web address of a page about the data set.
     """
@@ -68,6 +68,6 @@ def load_benchmark_hashes() -> dict[str, str]:
     -------
     dict of str to str
         SHA-256 hash of the pixels of all radiographs of a subject, keyed by the subject's number (see
-        `benchmark.image_hashes`). Only some subjects are listed.
+        `benchmark.image_hashes`). Only selected subjects are listed.
     """
     return parse_record(dict[str, dict[str, str]], load_data_table("benchmark_hashes"), "benchmark_hashes")["sha256"]

@@ -13,7 +13,7 @@ def load_ibsi_tags() -> dict[str, dict[str, str]]:
     Returns
     -------
     dict of str to dict of str to str
-        IBSI tag of each feature, keyed by family and then by feature name. The additional key "departures" has the
+        IBSI tag of each feature, keyed by family and then by feature name. The additional key "departures" contains the
         differences from IBSI definitions, keyed by family or by "<family>_<feature>".
     """
     return parse_record(dict[str, dict[str, str]], load_data_table("ibsi"), "ibsi")

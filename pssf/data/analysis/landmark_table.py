@@ -22,25 +22,26 @@ class GradeLandmarkStatistics(Record, frozen=True):
     knees : int
         Number of knees.
     plateau_width_mm : (float, float)
-        Width of the tibial plateau, in mm.
+        Mean and SD of the width of the tibial plateau, in mm.
     medial_gap_least_mm : (float, float)
-        Smallest gap between femoral and tibial contour in the medial compartment, in mm.
+        Mean and SD of the smallest gap between femoral and tibial contour in the medial compartment, in mm.
     lateral_gap_least_mm : (float, float)
-        Smallest gap between femoral and tibial contour in the lateral compartment, in mm.
+        Mean and SD of the smallest gap between femoral and tibial contour in the lateral compartment, in mm.
     medial_gap_at_0150_mm : (float, float)
-        Medial gap at 0.150 of the femoral width from its medial edge, in mm.
+        Mean and SD of the gap at 0.150 of the femoral width, measured from the medial edge of the femur, in mm.
     medial_gap_at_0200_mm : (float, float)
-        Medial gap at 0.200 of the femoral width from its medial edge, in mm.
+        Mean and SD of the gap at 0.200 of the femoral width, measured from the medial edge of the femur, in mm.
     medial_gap_at_0250_mm : (float, float)
-        Medial gap at 0.250 of the femoral width from its medial edge, in mm.
+        Mean and SD of the gap at 0.250 of the femoral width, measured from the medial edge of the femur, in mm.
     medial_gap_at_0300_mm : (float, float)
-        Medial gap at 0.300 of the femoral width from its medial edge, in mm.
+        Mean and SD of the gap at 0.300 of the femoral width, measured from the medial edge of the femur, in mm.
     joint_line_convergence_deg : (float, float)
-        Angle between the femoral and the tibial joint line, in degrees; positive if the joint is wider medially.
+        Mean and SD of the angle between the femoral and the tibial joint line, in degrees; positive if the joint is
+        wider medially.
     mean_share : tuple of (float, float)
-        Mean x and y of each landmark.
+        Mean x and y of each landmark, as fractions of the plateau width.
     sd_share : tuple of (float, float)
-        SD of x and y of each landmark.
+        SD of x and y of each landmark, as fractions of the plateau width.
     """
 
     knees: int
@@ -82,7 +83,7 @@ class LandmarkReference(Record, frozen=True):
     source : str
         Source of the annotations.
     names : tuple of str
-        Names of the landmarks, in the order of all other lists.
+        Names of the landmarks, in the order that all other attributes use.
     grade : dict of str to GradeLandmarkStatistics
         Statistics, keyed by KL grade as text.
     modes : LandmarkModes

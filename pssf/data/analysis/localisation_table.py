@@ -27,9 +27,9 @@ class PatchSettings(Record, frozen=True):
     down_mm : float
         Extent of the patch below the joint line, in mm.
     lateral_mm : float
-        Extent of the patch in lateral direction, in mm.
+        Lateral extent of the patch, in mm.
     medial_mm : float
-        Extent of the patch in medial direction, in mm.
+        Medial extent of the patch, in mm.
     height_mm : float
         SD of the Gaussian that weights pixels by their distance from the joint line, in mm.
     turns_deg : tuple of float
@@ -54,7 +54,7 @@ class SearchSettings(Record, frozen=True):
     Attributes
     ----------
     scale_step : float
-        Ratio of consecutive sizes in the search.
+        Ratio between consecutive template sizes in the search.
     scale_range : (float, float)
         Range of the knee size relative to the standard knee, if the pixel size is known.
     fallback_min_scale : float
@@ -118,9 +118,9 @@ class PlateauWidth(Record, frozen=True):
     Attributes
     ----------
     mean_mm : float
-        Mean, in mm.
+        Mean plateau width, in mm.
     sd_mm : float
-        SD, in mm.
+        SD of the plateau width, in mm.
     """
 
     mean_mm: float
@@ -137,20 +137,20 @@ class AcceptanceThresholds(Record, frozen=True):
     min_score : float
         Lowest accepted score if the pixel size is known.
     max_opposite_side_evidence : float
-        Largest accepted evidence for the side opposite to the given side (`JointLocation.side_evidence`).
+        Largest accepted evidence for the side opposite to the specified side (`JointLocation.side_evidence`).
     min_score_unknown_pitch : float
         Lowest accepted score if the pixel size is unknown and the evidence for a side is below
         `min_side_evidence_unknown_pitch`.
     min_side_evidence_unknown_pitch : float
-        Evidence for a side from which a score below `min_score_unknown_pitch` is accepted.
+        Lowest evidence for a side at which a score below `min_score_unknown_pitch` is accepted.
     min_score_square_pixels : float
-        Score from which other pixel aspect ratios are not searched.
+        Score at or above which no other pixel aspect ratios are searched.
     min_score_further_attempts : float
         Lowest accepted score of a match with another pixel aspect ratio or with a template of severe osteoarthritis.
     stretch_penalty : float
         Deduction from the score of a match with another pixel aspect ratio.
     min_score_stop_search : float
-        Score from which the search stops, even if the match is rejected for other reasons.
+        Score at or above which the search stops, even if the match is rejected for other reasons.
     max_upside_down_evidence : float
         Largest evidence for an upside-down image expected by chance (`JointLocation.orientation_evidence`).
     max_match_distance_mm : float
@@ -178,7 +178,7 @@ class LateralityWeights(Record, frozen=True):
     Attributes
     ----------
     block : int
-        Side length of the blocks of the joint patch with a common weight, in pixels.
+        Side length of the blocks of the joint patch that have a common weight, in pixels.
     down : tuple of tuple of float
         (rows, cols) weights of downward edges.
     right : tuple of tuple of float
@@ -227,7 +227,7 @@ def load_localisation_settings() -> LocalisationSettings:
     Returns
     -------
     LocalisationSettings
-        Settings from the two tables.
+        Settings from ``data/localisation.toml`` and ``data/side_pattern.toml``.
     """
     return parse_record(
         LocalisationSettings,

@@ -17,11 +17,11 @@ class ReferenceValue(Record, frozen=True):
     Attributes
     ----------
     source : str
-        Source.
+        Publication or software that provides the value.
     value : float or None
-        Value.
+        Value in the unit of the quantity; None if the source provides a range.
     range : (float, float) or None
-        Range of usual values.
+        Range of usual values; None if the source provides a single value.
     """
 
     source: str
@@ -35,15 +35,15 @@ class ReferenceSize(Record, frozen=True):
     Attributes
     ----------
     source : str
-        Source.
+        Publication or software that provides the value.
     patient_width_ratio : float or None
         Ratio of the size to the width of the tibial plateau, measured with the same method on bones of patients.
     male : (float, float) or None
-        Mean and SD of men.
+        Mean and SD for men.
     female : (float, float) or None
-        Mean and SD of women.
+        Mean and SD for women.
     both : (float, float) or None
-        Mean and SD of men and women together.
+        Mean and SD for men and women together.
     """
 
     source: str
@@ -90,7 +90,7 @@ class ReferenceTables(Record, frozen=True):
     Attributes
     ----------
     spectrum : dict of str to (float, float)
-        Photons/mm2/mAs at 1 m and mean energy in keV, keyed by tube voltage in kV.
+        Photons per mm2 and mAs at 1 m, and mean energy in keV, keyed by tube voltage in kV.
     attenuation : dict of str to (float, float)
         Attenuation coefficients at 40 and 60 keV in 1/cm, keyed by tissue.
     scatter : ScatterCases
@@ -106,8 +106,8 @@ class ReferenceTables(Record, frozen=True):
     criteria : dict of str to PositioningCriterion
         Criteria for `pssf validate --tables criteria`, keyed by quantity.
     beam : dict of str to tuple of float
-        First and second half-value layer (mm Al), mean energy (keV), photons/mm2/mAs and air kerma (uGy/mAs) at 1 m,
-        keyed by "<kV>_<mm Al>".
+        First and second half-value layer (mm Al), mean energy (keV), and photons per mm2 and mAs and air kerma
+        (uGy/mAs) at 1 m, keyed by "<kV>_<mm Al>".
     """
 
     spectrum: dict[str, Pair]

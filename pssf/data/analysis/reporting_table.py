@@ -14,12 +14,12 @@ class ChecklistItem(msgspec.Struct, frozen=True, array_like=True, forbid_unknown
     Attributes
     ----------
     id : str
-        Number of the item.
+        Identifier of the item in the guideline.
     item : str
-        Text of the item: the information that it requires.
+        Information that the item requires.
     status : {"yes", "no", "human", "none"}
         "yes" if the evidence answers the item, "no" if the study does not fulfil it, "human" if an author must answer
-        it, "none" if it does not apply.
+        it, "none" if the item does not apply.
     evidence : str
         Conditions on study files (`io.file_conditions`), or the reason for the status.
     weight : float
@@ -39,9 +39,9 @@ class Guideline(Record, frozen=True):
     Attributes
     ----------
     version : str
-        Name and version.
+        Name and version of the guideline.
     items : tuple of ChecklistItem
-        Checklist.
+        Checklist of the guideline.
     """
 
     version: str

@@ -47,7 +47,7 @@ class Ellipsoid(Record, frozen=True):
 
 
 class NotchShape(Record, frozen=True):
-    """Intercondylar notch.
+    """Shape of the intercondylar notch.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class NotchShape(Record, frozen=True):
 
 
 class Condyle(Record, frozen=True):
-    """One femoral condyle.
+    """Shape of one femoral condyle.
 
     Attributes
     ----------
@@ -103,14 +103,14 @@ class Condyle(Record, frozen=True):
 
 
 class Condyles(Record, frozen=True):
-    """Both femoral condyles.
+    """Shapes of both femoral condyles.
 
     Attributes
     ----------
     medial : Condyle
-        Medial condyle.
+        Shape of the medial condyle.
     lateral : Condyle
-        Lateral condyle.
+        Shape of the lateral condyle.
     """
 
     medial: Condyle
@@ -127,7 +127,7 @@ class RoughnessZone(Record, frozen=True):
     half : (float, float, float)
         Half axes of the ellipsoid, in mm.
     direction : (float, float, float)
-        Direction of the displacement.
+        Direction of the displacement, as a unit vector.
     sd_mm : float
         SD of the displacement, in mm.
     lengths_mm : (float, float)
@@ -145,7 +145,7 @@ class RoughnessZone(Record, frozen=True):
 
 
 class GrowthZone(Record, frozen=True):
-    """Zone in which bone grows: points inside an ellipsoid are displaced. The displacement decreases to its surface.
+    """Ellipsoid in which bone growth displaces points; the displacement decreases to 0 at the ellipsoid surface.
 
     Attributes
     ----------
@@ -189,7 +189,8 @@ class FemurShape(Record, frozen=True):
     edge_mm : float
         Longest mesh edge, in mm.
     tolerance_mm : float
-        Distance of the midpoint of a mesh edge from the surface above which the edge is split, in mm.
+        Largest distance between the midpoint of a mesh edge and the bone surface, in mm; beyond this distance, the edge
+        is split.
     fillet_mm : float
         Radius of the fillets between shaft, trochlea and condyles, in mm.
     trochlea_end_z : float
@@ -204,7 +205,7 @@ class FemurShape(Record, frozen=True):
     hollows : tuple of Ellipsoid
         Trochlear and popliteal groove.
     cortex : rows of float
-        Cortical thickness by height, in mm.
+        Rows of height z and cortical thickness, in mm.
     plate_mm : float
         Thickness of the subchondral bone plate of the condyles, in mm.
     plate_below_z : float
@@ -216,9 +217,9 @@ class FemurShape(Record, frozen=True):
     canal_full_z_mm : float
         Height at which the canal has its full width, in mm.
     notch : NotchShape
-        Intercondylar notch.
+        Shape of the intercondylar notch.
     condyles : Condyles
-        Condyles.
+        Shapes of both condyles.
     roughness_zones : tuple of RoughnessZone
         Zones with a rough surface.
     """
@@ -252,7 +253,7 @@ class CorticalThicknessVariation(Record, frozen=True):
     sd : float
         SD relative to the mean thickness, for cortex of thickness `thin_mm` or less.
     thin_mm : float
-        Thickness above which the SD in mm is constant, in mm.
+        Cortical thickness above which the absolute SD is constant, in mm.
     least_mm : float
         Smallest thickness, in mm.
     shortest_mm : float
@@ -276,7 +277,7 @@ class PlateauGaussian(Record, frozen=True):
     x, y : float
         Centre, in mm.
     height : float
-        Height, in mm.
+        Height of the elevation, in mm; negative for a depression.
     half_x, half_y : float
         Half widths, in mm.
     """
@@ -294,7 +295,7 @@ class TibiaShape(Record, frozen=True):
     Attributes
     ----------
     sections : rows of float
-        Sections, in mm.
+        Rows of height z, half ML width, half AP depth, centre y and centre x, in mm.
     deeper_medially : float
         Relative increase of the AP depth with x, in 1/mm; the medial side is deeper.
     deeper_above_z : float
@@ -302,7 +303,7 @@ class TibiaShape(Record, frozen=True):
     shaft_pivot_z_mm : float
         Height of the pivot about which the shaft is rotated, in mm.
     cortex : rows of float
-        Cortical thickness by height, in mm.
+        Rows of height z and cortical thickness, in mm.
     plate_mm : float
         Thickness of the subchondral bone plate at the margins and between the condyles, in mm.
     plates : tuple of PlateauGaussian
@@ -320,9 +321,10 @@ class TibiaShape(Record, frozen=True):
     edge_mm : float
         Longest mesh edge, in mm.
     tolerance_mm : float
-        Distance of the midpoint of a mesh edge from the surface above which the edge is split, in mm.
+        Largest distance between the midpoint of a mesh edge and the bone surface, in mm; beyond this distance, the edge
+        is split.
     bumps : tuple of Ellipsoid
-        Tuberosity.
+        Ellipsoid of the tibial tuberosity.
     relief : tuple of PlateauGaussian
         Depressions, spines and other elevations of the plateau.
     roughness_zones : tuple of RoughnessZone
@@ -354,15 +356,15 @@ class FibulaShape(Record, frozen=True):
     Attributes
     ----------
     sections : rows of float
-        Sections, in mm.
+        Rows of height z, half ML width, half AP depth, centre y and centre x, in mm.
     cortex : rows of float
-        Cortical thickness by height, in mm.
+        Rows of height z and cortical thickness, in mm.
     gap_to_tibia_mm : float
         Width of the tibiofibular joint, in mm.
     joint_mm : (float, float, float)
         Position of the tibiofibular joint on the tibia, in mm.
     faces : (float, float, float)
-        Direction of the normal of the fibular joint surface.
+        Normal vector of the fibular joint surface.
     """
 
     sections: Rows
@@ -373,7 +375,7 @@ class FibulaShape(Record, frozen=True):
 
 
 class PatellaShape(Record, frozen=True):
-    """Patella.
+    """Shape of the patella.
 
     Attributes
     ----------
@@ -382,15 +384,15 @@ class PatellaShape(Record, frozen=True):
     centre_mm : (float, float, float)
         Centre of the patella in the frame of the template femur, in mm.
     tendon_end_mm : float
-        Height of the lower end of the patellar tendon above the middle of its attachment to the tuberosity, in mm.
+        Height of the lower tendon end above the middle of the tendon attachment on the tuberosity, in mm.
     gap_to_femur_mm : float
-        Distance between patella and femur, in mm, which contains the cartilage of both bones.
+        Distance between patella and femur, including the cartilage of both bones, in mm.
     cartilage_mm : float
         Thickness of the patellar cartilage, in mm.
     cartilage_from : float
         Relative height above which the posterior surface has cartilage, from 0 at the apex to 1 at the base.
     cortex : rows of float
-        Cortical thickness by height, in mm.
+        Rows of height z and cortical thickness, in mm.
     """
 
     sections: Rows
@@ -403,16 +405,17 @@ class PatellaShape(Record, frozen=True):
 
 
 class FabellaShape(Record, frozen=True):
-    """Fabella.
+    """Shape of the fabella.
 
     Attributes
     ----------
     x : float
-        Position behind the lateral condyle, in mm.
+        Mediolateral position of the fabella behind the lateral condyle, in mm.
     z : float
-        Height, in mm.
+        Height of the fabella in the frame of the femur, in mm.
     reach_mm : float
-        Half the side length of the square in x and z in which the posterior surface of the femur is searched, in mm.
+        Half the side length of the square in the xz plane in which the posterior surface of the femur is searched, in
+        mm.
     behind_mm : float
         Distance of the fabella behind the femur, in mm.
     form : (float, float, float)
@@ -432,20 +435,22 @@ class FabellaShape(Record, frozen=True):
 class OsteophyteMargin(Record, frozen=True):
     """Joint margin of a bone, on which osteophytes grow.
 
-    Pairs of distances are an offset in mm and a slope in mm per mm of osteophyte size.
+    Each pair of distances is an offset in mm and a slope in mm per mm of osteophyte size.
 
     Attributes
     ----------
     band_z : (float, float)
-        Range of height in which the margin is searched, in mm.
+        Height range in which the margin is searched, in mm.
     at_z : float
         Approximate height of the margin, in mm.
     joint : {1.0, -1.0}
         Direction towards the joint along z: 1 is proximal, -1 distal.
     medial_drop_mm : (float, float)
-        Distance of the joint-facing surface of a medial osteophyte from the joint surface, in mm.
+        Distance of the joint-facing surface of a medial osteophyte from the joint surface: offset in mm and slope in mm
+        per mm of osteophyte size.
     lateral_drop_mm : (float, float)
-        Distance of the joint-facing surface of a lateral osteophyte from the joint surface, in mm.
+        Distance of the joint-facing surface of a lateral osteophyte from the joint surface: offset in mm and slope in
+        mm per mm of osteophyte size.
     """
 
     band_z: Pair
@@ -456,22 +461,22 @@ class OsteophyteMargin(Record, frozen=True):
 
 
 class MarginalOsteophyteShape(Record, frozen=True):
-    """Shape of marginal osteophytes. Pairs are an offset in mm and a slope in mm per mm of size.
+    """Shape of marginal osteophytes. Each pair is an offset in mm and a slope in mm per mm of osteophyte size.
 
     Attributes
     ----------
     edge_mm : (float, float)
-        Radius of the rounded edge.
+        Radius of the rounded edge: offset in mm and slope in mm per mm of osteophyte size.
     base_mm : (float, float)
-        Height of the base.
+        Height of the base: offset in mm and slope in mm per mm of osteophyte size.
     highest_mm : float
         Largest height of the base, in mm.
     long_mm : (float, float)
-        Length along the margin.
+        Length along the margin: offset in mm and slope in mm per mm of osteophyte size.
     longest_mm : float
         Largest length along the margin, in mm.
     bulge : float
-        Protrusion of the base without the edge, as a fraction of the size.
+        Protrusion of the base without the rounded edge, as a fraction of the osteophyte size.
     turn_deg : float
         Angle between the direction of growth and the mediolateral axis at the anterior and posterior ends of the
         margin, in degrees.
@@ -487,14 +492,15 @@ class MarginalOsteophyteShape(Record, frozen=True):
 
 
 class CentralOsteophyteShape(Record, frozen=True):
-    """Position and shape of central osteophytes. Pairs of lengths are an offset in mm and a slope in mm per mm of size.
+    """Position and shape of central osteophytes. Each pair of lengths is an offset in mm and a slope in mm per mm.
 
     Attributes
     ----------
     across_mm : float
         Distance from the middle of the knee to the middle of a compartment, in mm.
     base_half_width_mm : float
-        Half width, in x, of the bone surface above which the size is measured, in mm; on the tibia also in y.
+        Half width of the bone surface from which the osteophyte height is measured, in mm; in x on the femur, in x and
+        y on the tibia.
     femur_deg : (float, float)
         Angles of the most anterior and the most posterior position on the femur, from distal (0) to posterior, in
         degrees.
@@ -503,17 +509,18 @@ class CentralOsteophyteShape(Record, frozen=True):
     tibia_above_mm : float
         Height above which the surface of the tibia counts as joint surface, in mm.
     wide_mm : (float, float)
-        Distance from the centre of the osteophyte to the spheres at its base.
+        Distance from the centre of the osteophyte to the spheres at its base: offset in mm and slope in mm per mm of
+        size.
     foot_mm : (float, float)
-        Radius of a sphere at the base.
+        Radius of a sphere at the base: offset in mm and slope in mm per mm of size.
     sunk_mm : float
         Depth of the sphere centres at the base below the bone surface, in mm.
     tip_mm : (float, float)
-        Radius of the rounded top.
+        Radius of the rounded top: offset in mm and slope in mm per mm of size.
     top_share : float
         Width of the top relative to the width of the base (`wide_mm`).
     top_falls : float
-        Decrease of the height of the top from its centre to its edge, as a fraction of the size.
+        Height decrease from the centre to the edge of the top, as a fraction of the osteophyte size.
     """
 
     across_mm: float
@@ -530,7 +537,7 @@ class CentralOsteophyteShape(Record, frozen=True):
 
 
 class OsteophyteShapes(Record, frozen=True):
-    """Joint margins with osteophytes, and shapes of osteophytes.
+    """Joint margins on which osteophytes grow, and shapes of osteophytes.
 
     Attributes
     ----------
@@ -556,9 +563,9 @@ class StatureBySex(Record, frozen=True):
     Attributes
     ----------
     male : float
-        Mean of men, in mm.
+        Mean body height of men, in mm.
     female : float
-        Mean of women, in mm.
+        Mean body height of women, in mm.
     """
 
     male: float
@@ -575,7 +582,7 @@ class TemplateSize(Record, frozen=True):
     female_over_male : float
         Size of female bones relative to male bones.
     stature_mm : StatureBySex
-        Body height, in mm.
+        Mean body height of each sex, in mm.
     """
 
     male_tibial_ml_mm: float
@@ -591,37 +598,37 @@ class TemplateAnatomy(Record, frozen=True):
     size : TemplateSize
         Sizes that scale the bones.
     unevenness : CorticalThicknessVariation
-        Variation of cortical thickness.
+        Random variation of the cortical thickness.
     notch_growth : NotchGrowthZones
         Growth of bone into the notch.
     femur : FemurShape
-        Femur.
+        Shape of the femur.
     tibia : TibiaShape
-        Tibia.
+        Shape of the tibia.
     osteophytes : OsteophyteShapes
-        Osteophytes.
+        Shape of the osteophytes.
     fibula : FibulaShape
-        Fibula.
+        Shape of the fibula.
     patella : PatellaShape
-        Patella.
+        Shape of the patella.
     fabella : FabellaShape
-        Fabella.
+        Shape of the fabella.
     cartilage : Cartilage
-        Cartilage.
+        Shape of the cartilage.
     menisci : Menisci
-        Menisci.
+        Shape of the menisci.
     fat_pad : FatPad
-        Infrapatellar fat pad.
+        Shape of the infrapatellar fat pad.
     patellar_tendon : PatellarTendon
-        Patellar tendon.
+        Shape of the patellar tendon.
     quadriceps_tendon : QuadricepsTendon
-        Quadriceps tendon.
+        Shape of the quadriceps tendon.
     muscles : tuple of MuscleShape
-        Muscles, vessels and nerve.
+        Shapes of the muscles, vessels and nerve.
     deep_fat : DeepFat
-        Thickness of tissue inside the fascia that is not fat.
+        Thickness of the tissue inside the fascia that is not fat.
     effusion : EffusionShape
-        Swelling of the joint.
+        Shape of the swelling of the joint.
     soft : LimbShape
         Skin, subcutaneous fat and fascia.
     """

@@ -18,7 +18,7 @@ class LimbMeasureByBmi(Record, frozen=True):
     mm_per_bmi : dict of str to float
         Increase of the mean with BMI for each sex, in mm per kg/m2.
     range_mm : (float, float)
-        Lower and upper bound, in mm.
+        Lower and upper bound of the measure, in mm.
     """
 
     at_bmi: float
@@ -27,7 +27,7 @@ class LimbMeasureByBmi(Record, frozen=True):
     range_mm: Pair
 
     def mean_at_bmi(self, bmi: float, sex: str) -> float:
-        """Compute the mean at a given BMI, clipped to the bounds.
+        """Compute the mean at a BMI, clipped to `range_mm`.
 
         Parameters
         ----------
@@ -39,17 +39,17 @@ class LimbMeasureByBmi(Record, frozen=True):
         Returns
         -------
         float
-            Mean, in mm.
+            Mean of the limb measure, in mm.
         """
         return self.clip_to_range(self.mean_mm[sex] + self.mm_per_bmi[sex] * (bmi - self.at_bmi))
 
     def clip_to_range(self, value_mm: float) -> float:
-        """Clip a value to the bounds.
+        """Clip a value to `range_mm`.
 
         Parameters
         ----------
         value_mm : float
-            Value, in mm.
+            Value of the limb measure, in mm.
 
         Returns
         -------
@@ -67,7 +67,7 @@ class LimbStatistics(Record, frozen=True):
     bmi : (float, float)
         Mean and SD of BMI, in kg/m2.
     limb : dict of str to LimbMeasureByBmi
-        Dependence on BMI of fields of `Knee`, keyed by field name.
+        BMI dependence of fields of `Knee`, keyed by field name.
     """
 
     bmi: Pair

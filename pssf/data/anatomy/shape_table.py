@@ -36,7 +36,7 @@ class ShapeMode(Record, frozen=True):
 class LatticeTable(Record, frozen=True):
     """Lattice of control points around a bone.
 
-    Each line of a displacement text contains x, y and z of the displacements of one column of control points along z.
+    Each line of a displacement text contains the x, y and z displacements of one column of control points along z.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class BoneLattices(Record, frozen=True):
 
 
 class ShapeModel(Record, frozen=True):
-    """Statistical shape model of the knee's bones.
+    """Statistical shape model of the knee bones.
 
     Attributes
     ----------

@@ -19,13 +19,13 @@ class FemoralCartilage(Record, frozen=True):
     Attributes
     ----------
     below_z : float
-        Upper bound of the distal part.
+        Upper bound of the distal part of the surface, in mm.
     behind_y, behind_z : float
-        Anterior and upper bound of the posterior part.
+        Anterior and upper bound of the posterior part of the surface, in mm.
     before_y, before_z, before_x : float
-        Posterior, upper and mediolateral bound of the trochlea.
+        Posterior, upper and mediolateral bound of the trochlea, in mm.
     notch_x, notch_y : float
-        Half width and anterior bound of the notch.
+        Half width and anterior bound of the notch, in mm.
     """
 
     below_z: float
@@ -61,7 +61,7 @@ class Cartilage(Record, frozen=True):
     Attributes
     ----------
     share : float
-        Thickness on each bone, as a fraction of the joint space.
+        Cartilage thickness on each bone, as a fraction of the joint space.
     femur : FemoralCartilage
         Articular surface of the femur.
     tibia : tuple of PlateauEllipse
@@ -98,9 +98,9 @@ class Menisci(Record, frozen=True):
     Attributes
     ----------
     medial : Meniscus
-        Medial meniscus.
+        Shape of the medial meniscus.
     lateral : Meniscus
-        Lateral meniscus.
+        Shape of the lateral meniscus.
     height_mm : (float, float)
         Heights of the lower and the upper end of the rings, in mm.
     gap_mm : float
@@ -129,7 +129,7 @@ class FatPad(Record, frozen=True):
 
 
 class PatellarTendon(Record, frozen=True):
-    """Patellar tendon.
+    """Shape of the patellar tendon.
 
     Attributes
     ----------
@@ -147,7 +147,7 @@ class PatellarTendon(Record, frozen=True):
 
 
 class QuadricepsTendon(Record, frozen=True):
-    """Quadriceps tendon.
+    """Shape of the quadriceps tendon.
 
     Attributes
     ----------
@@ -173,7 +173,7 @@ class MuscleShape(Record, frozen=True):
     Attributes
     ----------
     name : str
-        Name.
+        Name of the muscle or bundle.
     sections : rows of float
         Rows of z (mm), then half ML width, half AP depth, centre y and centre x as fractions of the half axes of the
         fascia at this height.
@@ -184,7 +184,7 @@ class MuscleShape(Record, frozen=True):
 
 
 class DeepFat(Record, frozen=True):
-    """Thickness of tissue inside the fascia that is not fat.
+    """Thickness of the tissue inside the fascia that is not fat.
 
     Attributes
     ----------
@@ -209,9 +209,9 @@ class EffusionShape(Record, frozen=True):
     height_profile : rows of float
         Rows of height z (mm) and fraction of the maximum swelling.
     front_and_back : float
-        Displacement of the fascia in anterior and posterior direction, in mm per mm.
+        Anterior and posterior displacement of the fascia, in mm per mm of effusion.
     medial : float
-        Displacement of the fascia in medial direction, in mm per mm.
+        Medial displacement of the fascia, in mm per mm of effusion.
     """
 
     height_profile: Rows

@@ -21,7 +21,7 @@ class BoneMarrowMix(Record, frozen=True):
     Attributes
     ----------
     bvtv : float
-        BV/TV.
+        BV/TV of the mixture.
     marrow : float
         Attenuation of marrow relative to the attenuation of the mixture.
     """
@@ -31,7 +31,7 @@ class BoneMarrowMix(Record, frozen=True):
 
 
 class StrutLattice(Record, frozen=True):
-    """Periodic block of struts: a Gaussian random field with a given power spectrum and a threshold for bone.
+    """Periodic block of struts: a Gaussian random field with a specified power spectrum and a threshold for bone.
 
     Attributes
     ----------
@@ -48,9 +48,9 @@ class StrutLattice(Record, frozen=True):
     high_per_mm : float
         Spatial frequency above which the power decreases, in 1/mm.
     low_frequency_exponent : float
-        Exponent of the power between `low_per_mm` and `high_per_mm`.
+        Exponent of the power spectrum between `low_per_mm` and `high_per_mm`.
     high_frequency_exponent : float
-        Exponent of the decrease of the power above `high_per_mm`.
+        Exponent of the decrease of the power spectrum above `high_per_mm`.
     vertical_power : float
         Power of vertical struts.
     horizontal_power : float
@@ -69,7 +69,7 @@ class StrutLattice(Record, frozen=True):
     angular_spread_rad : float
         Spread of the directions of struts, in radians.
     threshold_sd : float
-        Value of the field above which there is bone, in SD.
+        Threshold of the field above which a voxel is bone, in SD.
     softness : float
         Width of the transition at the threshold, in SD.
     """
@@ -100,7 +100,7 @@ class Ageing(Record, frozen=True):
     Attributes
     ----------
     reference_years : float
-        Age to which the other values refer, in years.
+        Reference age of the other attributes, in years.
     per_year : float
         Relative decrease of BV/TV per year.
     mean : dict of str to float
@@ -133,7 +133,7 @@ class StrutCoarseness(Record, frozen=True):
     Attributes
     ----------
     per_plate : float
-        Relative coarsening per unit increase of the relative thickness of the subchondral bone plate.
+        Relative coarsening of struts per unit increase in relative subchondral plate thickness.
     per_year : dict of str to float
         Relative coarsening per year, for each sex.
     deviation : float
@@ -151,15 +151,15 @@ class Sclerosis(Record, frozen=True):
     Attributes
     ----------
     per_plate : float
-        Relative increase of BV/TV per unit increase of the relative thickness of the subchondral bone plate.
+        Relative BV/TV increase per unit increase in relative subchondral plate thickness.
     deep_mm : float
-        Depth at which the increase has fallen to a quarter, in mm.
+        Depth at which the BV/TV increase has fallen to a quarter, in mm.
     other_side : float
         Thickening of the subchondral bone plate in the other compartment, relative to the compartment that narrows.
     other_side_deep : float
         Increase of BV/TV in the other compartment, relative to the compartment that narrows.
     fills_per_plate : float
-        Relative decrease of strut contrast per unit increase of the relative thickness of the subchondral bone plate.
+        Relative decrease of strut contrast per unit increase in relative subchondral plate thickness.
     """
 
     per_plate: float
@@ -191,13 +191,13 @@ class PhysealScar(Record, frozen=True):
     wide_mm : float
         Distance over which the strength of the scar falls to a quarter, in mm.
     least : float
-        Smallest strength on the medial or the lateral side, relative to the largest strength.
+        Smallest scar strength on the medial or the lateral side, relative to the largest strength.
     dome_off_mm : float
         Largest anteroposterior distance between the apex of the domed scar and the middle of the bone, in mm.
     ripple_mm : float
         Amplitude of the waves of the scar, in mm.
     ripple_length_mm : float
-        Wavelength of the scar, in mm.
+        Wavelength of the scar waves, in mm.
     """
 
     off_mm: Pair
@@ -214,9 +214,9 @@ class StrutWaviness(Record, frozen=True):
     Attributes
     ----------
     amplitude_mm : float
-        Amplitude, in mm.
+        Amplitude of the waves, in mm.
     length_mm : float
-        Wavelength along a strut, in mm.
+        Wavelength of the waves along a strut, in mm.
     across : float
         Phase change per mm across struts, relative to the phase change along struts.
     """
@@ -232,7 +232,7 @@ class TrabecularDensityProfile(Record, frozen=True):
     Attributes
     ----------
     sclerosis : float
-        Sclerosis of the bone as a fraction of the full sclerosis.
+        Fraction of the full sclerosis that applies to this bone.
     shaft_direction : {1.0, -1.0}
         Direction of the shaft along z: 1 is proximal, -1 distal.
     bvtv : float
@@ -264,7 +264,7 @@ class TrabecularDensityProfile(Record, frozen=True):
     between : float
         Fraction of the increase at the plate that is missing between the compartments.
     between_mm : float
-        Medial distance from the middle of the position with the missing increase, in mm.
+        Medial distance between the middle of the bone and the position with the missing increase, in mm.
     between_half_mm : float
         Distance from `between_mm` at which the deficit has fallen to a quarter, in mm.
     struts : float
@@ -298,9 +298,9 @@ class TrabecularDensityProfile(Record, frozen=True):
     gain_shaft : float
         Contrast of the struts in the shaft, far from the joint.
     scar_mm : (float, float)
-        Range of the height of the physeal scar, in mm.
+        Height range of the physeal scar, in mm.
     scar_slope : float
-        Slope of the scar in medial direction.
+        Slope of the scar in the medial direction.
     scar_bow_per_mm : float
         Mediolateral curvature of the scar, in 1/mm.
     scar_dome_per_mm : float
@@ -356,7 +356,7 @@ class TrabecularDensityProfile(Record, frozen=True):
 
 
 class TrabecularBone(Record, frozen=True):
-    """Trabecular bone of all bones.
+    """Trabecular bone parameters of all bones.
 
     Attributes
     ----------
@@ -375,7 +375,7 @@ class TrabecularBone(Record, frozen=True):
     side : MedialLateralTransition
         Transition between the medial and the lateral side.
     scar : PhysealScar
-        Physeal scar.
+        Parameters of the physeal scar.
     sway : StrutWaviness
         Waviness of struts.
     tibia : TrabecularDensityProfile

@@ -34,7 +34,7 @@ class SideMarker(Record, frozen=True):
 
 
 class AcquisitionVariability(Record, frozen=True):
-    """Distributions from which the protocol of each radiograph is varied.
+    """Distributions of the protocol settings across radiographs.
 
     Attributes
     ----------

@@ -22,13 +22,13 @@ class Detector(Record, frozen=True):
     packing : float
         Fraction of the volume of the layer that the scintillator fills.
     mtf_f0_per_mm : float
-        f0 of the MTF, in 1/mm.
+        Spatial frequency f0 of the MTF, in 1/mm.
     mtf_power : float
-        Power of the MTF.
+        Exponent `power` of the MTF.
     ntf_f0_per_mm : float
-        f0 of the transfer function of quantum noise, in 1/mm.
+        Spatial frequency f0 of the noise transfer function, in 1/mm.
     ntf_power : float
-        Power of the transfer function of quantum noise.
+        Exponent `power` of the noise transfer function.
     swank : float
         Swank factor (Swank 1973), 0 to 1.
     electrons_per_kev : float

@@ -16,18 +16,18 @@ class FlatPanelProcessing(Record, frozen=True):
     power : float
         Exponent of the detail amplification; 1 does not change details, and values below 1 amplify small details.
     bound : float
-        Amplitude of details that do not change, in natural logarithm of the signal.
+        Amplitude of details that do not change, in units of the natural logarithm of the signal.
     core : float
-        Amplitude below which all details have the same gain because they are mostly noise, in natural logarithm of the
-        signal.
+        Amplitude below which all details have the same gain because they are mostly noise, in units of the natural
+        logarithm of the signal.
     edge_gain : float
         Gain of the finest details.
     edge_mm : float
-        Spatial size of details from which the edge gain is 1, in mm.
+        Size of details at and above which the edge gain is 1, in mm.
     latitude_gain : float
         Gain of the coarsest structures.
     latitude_mm : float
-        Spatial size of structures at which half of the effect of the latitude gain is reached, in mm.
+        Size of structures at which the latitude gain has half of its effect, in mm.
     dark : float
         Quantile of the limb pixels that is displayed as black, 0 to 1.
     bright : float
@@ -87,13 +87,13 @@ class BoundedNormal(Record, frozen=True):
     Attributes
     ----------
     mean : float
-        Mean.
+        Mean of the normal distribution.
     sd : float
-        Standard deviation.
+        Standard deviation of the normal distribution.
     low : float
-        Lower bound.
+        Lower bound of the samples.
     high : float
-        Upper bound.
+        Upper bound of the samples.
     """
 
     mean: float

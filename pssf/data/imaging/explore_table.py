@@ -10,7 +10,7 @@ from ..data_files import load_data_table
 from ..table_records import Pair, Record, parse_record
 
 _PAGE_FOLDER = Path(__file__).resolve().parents[2] / "explore" / "page"
-# File suffix -> content type in the HTTP header.
+# Content types in the HTTP header, keyed by file suffix.
 CONTENT_TYPES = {
     ".html": "text/html; charset=utf-8",
     ".js": "text/javascript; charset=utf-8",
@@ -25,7 +25,7 @@ class FieldGroup(Record, frozen=True):
     Attributes
     ----------
     title : str
-        Heading.
+        Heading of the group on the page.
     fields : tuple of str
         Names of the fields in the order of display.
     """
@@ -59,11 +59,11 @@ class PageSettings(Record, frozen=True):
     protocol : tuple of FieldGroup
         Groups of protocol fields.
     hidden_fields : dict of str to tuple of str
-        Fields that are in no group, for the keys "knee" and "protocol".
+        Fields without a group, keyed by "knee" and "protocol".
     slider : dict of str to (float, float)
-        Slider ranges that are narrower than the range of the field, in the unit of the field, keyed by field.
+        Slider ranges that are narrower than the range of the field, in the unit of the field, keyed by field name.
     processing : dict of str to str
-        Label of each display processing; the first is the default of the page.
+        Label of each display processing, keyed by name; the first entry is the default of the page.
     preset : dict of str to PagePreset
         Presets, keyed by name.
     """

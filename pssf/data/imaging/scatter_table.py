@@ -9,8 +9,8 @@ from ..table_records import Pair, Record, parse_record
 class ScatterTerm(Record, frozen=True):
     """Constants of one term of the scatter kernel.
 
-    The equation is in ``data/scatter.toml``. Only the sum of the terms was fitted, so single constants have no physical
-    meaning.
+    The equation is in ``data/scatter.toml``. Only the sum of the terms was fitted, so individual constants have no
+    physical meaning.
 
     Attributes
     ----------
@@ -25,13 +25,13 @@ class ScatterTerm(Record, frozen=True):
     primary_power : float
         Exponent of the primary transmission.
     exit_power : float
-        Exponent of the smoothed primary transmission, which attenuates scatter on its way out of the object.
+        Exponent of the smoothed primary transmission, which models the attenuation of scatter that leaves the object.
     exit_mm : float
         Standard deviation of the Gaussian that smooths the logarithm of the primary transmission, in mm.
     inner_mm : float
-        Standard deviation of the spread inside the object at relative mass 1, in mm.
+        Standard deviation of the scatter spread inside the object at relative mass 1, in mm.
     slope : float
-        Increase of the standard deviation of the spread behind the object per mm of air gap.
+        Increase of the standard deviation of the scatter spread behind the object, in mm per mm of air gap.
     depth_mm : float
         Length added to the air gap, in mm.
     """
@@ -56,7 +56,7 @@ class ProjectionKernel(Record, frozen=True):
     projection : str
         Name of the projection, as in `Protocol`.
     inner_power : float
-        Exponent of the mean relative mass in the width of the spread inside the object.
+        Exponent with which the mean relative mass scales the scatter spread inside the object.
     term : tuple of ScatterTerm
         Terms whose sum is the scatter.
     """
@@ -67,16 +67,16 @@ class ProjectionKernel(Record, frozen=True):
 
 
 class SmallFieldBias(Record, frozen=True):
-    """Ratio of scatter by the kernel to scatter by the Monte Carlo simulation, in small fields.
+    """Ratio of kernel scatter to Monte Carlo scatter in small fields.
 
     Attributes
     ----------
     side_mm : float
-        Largest value of the smaller side of the field to which the ratios apply, on the detector, in mm.
+        Largest value, on the detector, of the smaller field side to which the ratios apply, in mm.
     low : float
-        Smallest ratio.
+        Smallest ratio of kernel scatter to Monte Carlo scatter.
     high : float
-        Largest ratio.
+        Largest ratio of kernel scatter to Monte Carlo scatter.
     """
 
     side_mm: float

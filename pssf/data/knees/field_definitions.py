@@ -1,4 +1,4 @@
-"""Definitions of the fields of knees, osteophytes, cysts and protocols (``data/*_fields.toml``)."""
+"""Field definitions for knees, osteophytes, cysts and protocols (``data/*_fields.toml``)."""
 
 import re
 from functools import cache
@@ -13,7 +13,7 @@ from ...core.checks import (
 from ..data_files import load_data_table
 from ..table_records import Pair, Record, parse_record
 
-# Largest seed: the largest signed 64-bit integer.
+# Largest allowed seed, which is the largest signed 64-bit integer.
 _MAX_INT64 = 2**63 - 1
 
 
@@ -23,25 +23,25 @@ class FieldSpec(Record, frozen=True):
     Attributes
     ----------
     label : str
-        Short name on the page of ``pssf explore``, without unit.
+        Short label on the ``pssf explore`` page, without the unit.
     description : str
         Meaning of the field.
     unit : str
-        Unit of the value; empty for values without a unit.
+        Unit of the value; empty for a value without a unit.
     range : (float, float) or None
-        Bounds of a number.
+        Lower and upper bound of a float field; None for other fields.
     integer_range : (int, int) or None
-        Bounds of an integer.
+        Lower and upper bound of an integer field; None for other fields.
     choices : tuple or None
-        Allowed words or numbers.
+        Allowed values, as strings or integers; None if the field has no list of values.
     pattern : str or None
-        Description of the allowed characters of a name.
+        Description of the characters that are allowed in a name; None if the field is not a name.
     max_length : int or None
-        Maximum number of characters of a text.
+        Maximum length of a text field, in characters; None for other fields.
     optional : bool
-        Whether None is allowed.
+        Whether None is an allowed value.
     source : str
-        Source of usual values.
+        Literature source of typical values.
     """
 
     label: str
@@ -56,7 +56,7 @@ class FieldSpec(Record, frozen=True):
     source: str = ""
 
     def check(self, name: str, value: Any) -> None:
-        """Check that a value is allowed.
+        """Check that a value is allowed for the field.
 
         Parameters
         ----------
@@ -68,7 +68,7 @@ class FieldSpec(Record, frozen=True):
         Raises
         ------
         InputError
-            If the value is not allowed. The message names the field, what is allowed, and the value.
+            If the value is not allowed. The message contains the field name, the allowed values and the invalid value.
         """
         if self.optional and value is None:
             return
@@ -85,12 +85,12 @@ class FieldSpec(Record, frozen=True):
 
     @property
     def number_type(self) -> type[float] | type[int] | None:
-        """Number type of the field, float or int; None if its values are not numbers."""
+        """Numerical type of the field, float or int; None for a field that is not numerical."""
         return float if self.range else int if self.integer_range else None
 
     @property
     def allowed_text(self) -> str:
-        """Description of the allowed values."""
+        """Description of the allowed values, for error messages and field lists."""
         bounds = self.range or self.integer_range
         if bounds:
             return f"{bounds[0]:g} to {'2**63 - 1' if bounds[1] == _MAX_INT64 else format(bounds[1], 'g')}"
@@ -102,20 +102,20 @@ class FieldSpec(Record, frozen=True):
 def check_fields(kind: str, values: Any) -> None:
     """Check all fields of a parameter dataclass and convert numbers to Python's float and int.
 
-    The conversion is in place, even in a frozen dataclass. It is needed because compiled code does not accept other
-    number types.
+    The numbers are converted in place, even in a frozen dataclass, because compiled code accepts no other numerical
+    types.
 
     Parameters
     ----------
     kind : {"knee", "osteophyte", "cyst", "protocol"}
-        Table ``data/<kind>_fields.toml`` that defines the fields.
+        Kind of object, which selects the table ``data/<kind>_fields.toml`` of field definitions.
     values : dataclass instance
         Object to check.
 
     Raises
     ------
     InputError
-        If a value is not allowed. The message names the field, what is allowed, and the value.
+        If a value is not allowed. The message contains the field name, the allowed values and the invalid value.
     """
     for name, law in load_field_specs(kind).items():
         value = getattr(values, name)
@@ -125,7 +125,7 @@ def check_fields(kind: str, values: Any) -> None:
 
 
 def beam_angle_range_deg() -> Pair:
-    """Return the allowed range of the beam angle of a protocol.
+    """Return the allowed range of the beam angle in a protocol.
 
     Returns
     -------
@@ -144,7 +144,7 @@ def load_field_specs(kind: str) -> dict[str, FieldSpec]:
     Parameters
     ----------
     kind : {"knee", "osteophyte", "cyst", "protocol"}
-        Table ``data/<kind>_fields.toml``.
+        Kind of object, which selects the table ``data/<kind>_fields.toml``.
 
     Returns
     -------

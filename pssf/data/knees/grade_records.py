@@ -1,4 +1,4 @@
-"""Records of a grade table: parameter distributions of knees of each KL grade, loaded by `grade_tables`."""
+"""Record types of grade tables, which define the distributions of knee parameters for each KL grade."""
 
 from ..table_records import (
     Numbers,
@@ -11,7 +11,7 @@ MeanSdByGrade = tuple[Pair, ...]
 
 
 class GradeRanges(Record, frozen=True):
-    """Parameter ranges of one grade, which are sampled uniformly.
+    """Parameter ranges for uniform sampling of knees of one KL grade.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class FabellaDistribution(Record, frozen=True):
     share : float
         Fraction of knees with a fabella.
     size_mm : (float, float)
-        Range of the height of the fabella, in mm, which is sampled uniformly.
+        Range for uniform sampling of the fabella height, in mm.
     """
 
     share: float
@@ -53,15 +53,15 @@ class FabellaDistribution(Record, frozen=True):
 
 
 class NarrowedSideDistribution(Record, frozen=True):
-    """Distribution of the narrowed compartment, and correlation of parameters with the latent severity of a knee.
+    """Frequency of medial narrowing, and correlation of knee parameters with the latent severity.
 
     Attributes
     ----------
     medial : float
         Fraction of knees in which the medial compartment narrows.
     severity_correlation : float
-        Correlation of the latent severity with joint space, osteophytes, subchondral bone plate, alignment, notch
-        growth, effusion and subluxation.
+        Correlation of the latent severity with joint space, osteophytes, subchondral bone plate, alignment, bone growth
+        into the notch, effusion and subluxation.
     """
 
     medial: float
@@ -69,21 +69,22 @@ class NarrowedSideDistribution(Record, frozen=True):
 
 
 class JointSpaceDistributions(Record, frozen=True):
-    """Distributions of joint space widths as readers measure them.
+    """Distributions of the joint space widths that readers measure.
 
     Attributes
     ----------
     correlation : float
         Correlation between the joint space widths of the two compartments of a knee.
     least_mm : float
-        Smallest joint space width, in mm.
+        Lower limit of sampled joint space widths, in mm.
     male_excess_mm : float
-        Joint space width of men minus that of women, in mm.
+        Mean joint space width of men minus the mean of women, in mm.
     medial : dict of str to ((float, float), (float, float))
-        Distributions for knees whose medial compartment narrows, keyed by KL grade: mean and SD of the narrowed
-        compartment, then of the other compartment, in mm.
+        Joint space widths of knees with medial narrowing, in mm, keyed by KL grade. Each entry has the mean and SD of
+        the medial compartment, followed by the mean and SD of the lateral compartment.
     lateral : dict of str to ((float, float), (float, float))
-        Distributions for knees whose lateral compartment narrows, with the same entries.
+        Joint space widths of knees with lateral narrowing, in mm, keyed by KL grade. Each entry has the mean and SD of
+        the lateral compartment, followed by the mean and SD of the medial compartment.
     """
 
     correlation: float
@@ -94,14 +95,14 @@ class JointSpaceDistributions(Record, frozen=True):
 
 
 class AccompanyingOsteophytes(Record, frozen=True):
-    """Distribution of additional osteophytes in front of and behind a large osteophyte on the same margin.
+    """Distribution of additional osteophytes that are anterior and posterior to a large marginal osteophyte.
 
     Attributes
     ----------
     from_mm : float
-        Size of the main osteophyte from which additional osteophytes occur, in mm.
+        Smallest size of a main osteophyte that may have additional osteophytes, in mm.
     share : float
-        Probability of an additional osteophyte, in front and behind each.
+        Probability of an additional osteophyte, which applies separately to the anterior and the posterior position.
     place : (float, float)
         Range of the position of an additional osteophyte along the margin, from the middle (0) to the end (1).
     size : (float, float)
@@ -115,9 +116,10 @@ class AccompanyingOsteophytes(Record, frozen=True):
 
 
 class OsteophyteDistributions(Record, frozen=True):
-    """Distributions of osteophytes: a latent value per site determines the OARSI grade, and the grade the size range.
+    """Distributions of osteophyte sizes, based on a latent value for each site.
 
-    The latent value is a sum of terms. The thresholds between OARSI grades 0, 1, 2 and 3 are 0, 1 and 2.
+    The latent value is a sum of the terms below. It determines the OARSI grade, and the OARSI grade determines the size
+    range. The thresholds of the latent value between OARSI grades 0, 1, 2 and 3 are 0, 1 and 2.
 
     Attributes
     ----------
@@ -134,17 +136,17 @@ class OsteophyteDistributions(Record, frozen=True):
     size_mm : tuple of (float, float)
         Size ranges of OARSI grades 0, 1, 2 and 3, in mm.
     doubtful_mm : float
-        Largest osteophyte size in knees of KL 1, in mm.
+        Largest osteophyte size in knees of KL grade 1, in mm.
     spine : tuple of float
         Fraction of knees with an osteophyte on the tibial spine of the narrowed compartment, per KL grade.
     spine_other : float
-        Fraction for the tibial spine of the other compartment, relative to the narrowed compartment.
+        Factor that converts `spine` to the fraction for the tibial spine of the other compartment.
     spine_mm : (float, float)
         Size range of osteophytes on tibial spines, in mm.
     around : AccompanyingOsteophytes
-        Additional osteophytes on the same margin.
+        Distribution of additional osteophytes near a large osteophyte.
     curve_deg : dict of str to (float, float)
-        Mean and SD of the curvature of osteophytes towards the joint at each site, in degrees.
+        Mean and SD of the angle by which osteophytes curve towards the joint, in degrees, keyed by site.
     """
 
     level: Numbers
@@ -162,7 +164,7 @@ class OsteophyteDistributions(Record, frozen=True):
 
 
 class CentralOsteophyteDistribution(Record, frozen=True):
-    """Frequency, position and size of central osteophytes, which are in the middle of a joint surface.
+    """Frequency, position and size of central osteophytes, which grow in the middle of a joint surface.
 
     Attributes
     ----------
@@ -173,7 +175,7 @@ class CentralOsteophyteDistribution(Record, frozen=True):
     narrowed : float
         Fraction of central osteophytes in the compartment that narrows.
     size_mm : (float, float)
-        Size range, in mm.
+        Size range of central osteophytes, in mm.
     """
 
     share: Numbers
@@ -183,18 +185,21 @@ class CentralOsteophyteDistribution(Record, frozen=True):
 
 
 class GradeCovariates(Record, frozen=True):
-    """Other parameters that depend on the KL grade. Every tuple has one entry per grade.
+    """Parameters, other than joint space and osteophytes, that depend on the KL grade.
+
+    Every tuple has one entry per grade.
 
     Attributes
     ----------
     plate : tuple of (float, float)
         Mean and SD of the thickness of the subchondral bone plate, relative to a healthy plate.
     varus_deg : tuple of (float, float)
-        Mean and SD of the deformity towards the narrowed compartment, in degrees.
+        Mean and SD of the angular deformity towards the narrowed compartment, in degrees.
     lean_per_varus : float
-        Additional lean of the leg per degree of varus, which keeps the joint line horizontal, in degrees per degree.
+        Additional lean of the leg for each degree of varus, in degrees per degree. The lean keeps the joint line
+        horizontal.
     bone_scale_factor : tuple of float
-        Factor by which the bone size is multiplied.
+        Scale factor of the bone size, relative to the population.
     age_years : tuple of (float, float)
         Mean and SD of age, in years.
     women : tuple of float
@@ -245,9 +250,9 @@ class NotchGrowthDistribution(Record, frozen=True):
     Attributes
     ----------
     growth_mm : tuple of (float, float)
-        Mean and SD of the growth, per KL grade, in mm.
+        Mean and SD of the bone growth, per KL grade, in mm.
     bounds_mm : (float, float)
-        Lower and upper bound, in mm.
+        Lower and upper bound of the bone growth, in mm.
     """
 
     growth_mm: MeanSdByGrade
@@ -262,7 +267,7 @@ class EffusionDistribution(Record, frozen=True):
     swelling_mm : tuple of (float, float)
         Mean and SD of the additional thickness of capsule, synovium and fluid, per KL grade, in mm.
     bounds_mm : (float, float)
-        Lower and upper bound, in mm.
+        Lower and upper bound of the additional thickness, in mm.
     """
 
     swelling_mm: MeanSdByGrade
@@ -270,25 +275,25 @@ class EffusionDistribution(Record, frozen=True):
 
 
 class SkinFoldLimits(Record, frozen=True):
-    """Upper limits of the depth of skin folds, which is sampled uniformly from 0 to the limit.
+    """Upper limits of the skin fold depth, which is sampled uniformly from 0 to the limit.
 
     Attributes
     ----------
     max_depth_by_bmi : tuple of (float, float)
-        Rows of BMI in kg/m2 and upper limit of the depth as a fraction of the fat thickness; limits are interpolated
-        linearly.
+        Rows of BMI, in kg/m2, and upper limit of the skin fold depth, as a fraction of the fat thickness. Limits
+        between rows are interpolated linearly.
     """
 
     max_depth_by_bmi: Rows
 
 
 class MechanicalAxisDistribution(Record, frozen=True):
-    """Distribution of the angle between the shaft of the femur and the mechanical axis through the hip centre.
+    """Distribution of the angle between the femoral shaft and the mechanical axis through the hip centre.
 
     Attributes
     ----------
     mechanical_axis_deg : (float, float)
-        Mean and SD, in degrees.
+        Mean and SD of the angle, in degrees.
     """
 
     mechanical_axis_deg: Pair
@@ -300,9 +305,9 @@ class SubluxationDistribution(Record, frozen=True):
     Attributes
     ----------
     lateral_mm : tuple of (float, float)
-        Mean and SD of the lateral displacement, per KL grade, in mm.
+        Mean and SD of the lateral displacement of the tibia, per KL grade, in mm.
     bounds_mm : (float, float)
-        Lower and upper bound, in mm.
+        Lower and upper bound of the lateral displacement, in mm.
     """
 
     lateral_mm: MeanSdByGrade
@@ -310,12 +315,12 @@ class SubluxationDistribution(Record, frozen=True):
 
 
 class ReaderAgreement(Record, frozen=True):
-    """Agreement of a reader with the KL grade for which a knee was sampled.
+    """Agreement between a simulated reader and the true KL grade of a knee.
 
     Attributes
     ----------
     kappa : float
-        Unweighted Cohen's kappa for equally frequent grades.
+        Unweighted Cohen's kappa in a cohort with equally frequent grades.
     """
 
     kappa: float
@@ -327,11 +332,11 @@ class SharedGradeTable(Record, frozen=True):
     Attributes
     ----------
     body : dict of str to (float, float) or dict
-        Mean and SD of body measures, common to both sexes or per sex, keyed by knee field.
+        Mean and SD of body measures, keyed by knee field. A dict contains one mean and SD for each sex.
     pose : dict of str to (float, float)
-        Ranges of the pose, which are sampled uniformly, keyed by knee field.
+        Ranges for uniform sampling of pose parameters, keyed by knee field.
     form : dict of str to (float, float) or dict
-        Mean and SD of fields that are sampled together with the scores of bone shape, in the same format as `body`.
+        Mean and SD of knee fields that are sampled jointly with the bone shape scores, in the same format as `body`.
     fabella : FabellaDistribution
         Frequency and size of the fabella.
     """
@@ -348,7 +353,7 @@ class RangeGradeTable(SharedGradeTable, frozen=True):
     Attributes
     ----------
     grade : dict of str to GradeRanges
-        Parameter ranges, keyed by KL grade as text.
+        Parameter ranges, keyed by KL grade as a string.
     """
 
     grade: dict[str, GradeRanges]
@@ -365,29 +370,29 @@ class SeverityGradeTable(SharedGradeTable, frozen=True):
     Attributes
     ----------
     side : NarrowedSideDistribution
-        Distribution of the narrowed compartment, and correlation with the severity.
+        Frequency of medial narrowing, and correlation of knee parameters with the latent severity.
     spaces : JointSpaceDistributions
         Distributions of joint space widths.
     osteophytes : OsteophyteDistributions
         Distributions of osteophytes at joint margins and on tibial spines.
     rest : GradeCovariates
-        Subchondral bone plate, alignment, size of the bones, age, sex, BMI and bone density.
+        Distributions of subchondral bone plate thickness, alignment, bone size, age, sex, BMI and bone density.
     reader : ReaderAgreement
-        Agreement of a simulated reader.
+        Agreement between a simulated reader and the true KL grade.
     central : CentralOsteophyteDistribution or None
-        Distribution of central osteophytes; None if the table has none.
+        Distribution of central osteophytes; None if the table does not contain this entry.
     cysts : CystDistribution or None
-        Distribution of subchondral cysts; None if the table has none.
+        Distribution of subchondral cysts; None if the table does not contain this entry.
     subluxation : SubluxationDistribution or None
-        Distribution of tibial subluxation; None if the table has none.
+        Distribution of tibial subluxation; None if the table does not contain this entry.
     notch : NotchGrowthDistribution or None
-        Distribution of bone growth into the notch; None if the table has none.
+        Distribution of bone growth into the notch; None if the table does not contain this entry.
     effusion : EffusionDistribution or None
-        Distribution of joint swelling; None if the table has none.
+        Distribution of joint swelling; None if the table does not contain this entry.
     skin_folds : SkinFoldLimits or None
-        Limits of skin folds; None if the table has none.
+        Limits of the skin fold depth; None if the table does not contain this entry.
     hip : MechanicalAxisDistribution or None
-        Distribution of the mechanical axis of the femur; None for the default of `Knee`.
+        Distribution of the mechanical axis angle of the femur; None to use the default of `Knee`.
     """
 
     side: NarrowedSideDistribution

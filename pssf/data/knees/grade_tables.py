@@ -1,4 +1,4 @@
-"""Grade tables: parameter distributions of knees of each KL grade, loaded by name or from a user's own TOML file."""
+"""Grade tables: distributions of knee parameters for each KL grade, loaded by name or from a user's TOML file."""
 
 import os
 import warnings
@@ -14,26 +14,26 @@ from ..user_files import convert_os_errors
 from .grade_records import RangeGradeTable, SeverityGradeTable, SharedGradeTable
 
 _FOLDER = Path(__file__).resolve().parents[1] / "grades"
-# Deprecated name of a table -> current name.
+# Mapping of deprecated table names to current table names.
 _RENAMED_TABLES = {"people": "population"}
-# Entries that occur only in tables with a latent severity.
+# Entries that are allowed only in tables with a latent severity.
 _SEVERITY_ENTRIES = frozenset(SeverityGradeTable.__struct_fields__) - frozenset(SharedGradeTable.__struct_fields__)
 
 
 def list_grade_tables() -> list[str]:
-    """List the names of the grade tables that come with the package.
+    """List the names of the grade tables in the package.
 
     Returns
     -------
     list of str
-        Names, sorted.
+        Names in alphabetical order.
     """
     return list(_list_names())
 
 
-@cache  # The names are needed for every knee with a grade.
+@cache  # The names are cached, because they are requested for every knee that has a grade.
 def _list_names() -> tuple[str, ...]:
-    """List the names of the grade tables in the package, with a cache."""
+    """Return the cached names of the grade tables in the package."""
     return tuple(sorted(path.stem for path in _FOLDER.glob("*.toml")))
 
 
@@ -53,12 +53,13 @@ def resolve_grade_table_name(name: str) -> str:
     Warns
     -----
     DeprecationWarning
-        If a deprecated name is given.
+        If the name is deprecated.
     """
     if name not in _RENAMED_TABLES:
         return name
     warnings.warn(
-        f"grade table {name!r} is now {_RENAMED_TABLES[name]!r}; the earlier name will be removed; use that name",
+        f"grade table {name!r} is now {_RENAMED_TABLES[name]!r}; the former name will be removed; "
+        f"use {_RENAMED_TABLES[name]!r}",
         DeprecationWarning,
         stacklevel=4,
     )
@@ -85,24 +86,25 @@ def list_tables_with_grade(grade: int) -> list[str]:
 def load_grade_table(name_or_path: str) -> RangeGradeTable | SeverityGradeTable:
     """Load a grade table by name, or from a TOML file.
 
-    A file may name another table as its ``base`` and list only the entries that differ. For example, ``[grade.0]`` with
-    some ranges changes only these ranges of grade 0 of the base table. ``[grade.3]`` adds a grade.
+    A file may name another table as its ``base`` and list only the entries that differ from the base table. For
+    example, the entry ``[grade.0]`` replaces the listed ranges of grade 0. The entry ``[grade.3]`` adds grade 3 if the
+    base table does not define it.
 
     Parameters
     ----------
     name_or_path : str
-        Name of a table of the package, or path of a .toml file.
+        Name of a grade table in the package, or path of a .toml file.
 
     Returns
     -------
     RangeGradeTable or SeverityGradeTable
-        Grade table, whose type depends on the entries of the file.
+        Grade table; its type depends on the entries of the file.
 
     Raises
     ------
     InputError
-        If the name is unknown, the file is not readable TOML or not a grade table, or the chain of base tables contains
-        a loop.
+        If the name is unknown, the file is not readable TOML or not a grade table, or the chain of base tables is
+        circular.
     """
     path = _resolve_path(name_or_path)
     table = _read_with_base(path, ())
@@ -117,7 +119,10 @@ def load_grade_table(name_or_path: str) -> RangeGradeTable | SeverityGradeTable:
 
 
 def _read_with_base(path: Path, ancestors: tuple[Path, ...]) -> dict[str, Any]:
-    """Read a table and add the entries of its base; from a base of the other type, only the shared entries are used."""
+    """Read a grade table and add the entries of its base table.
+
+    If the base table has the other type, only the entries that both types contain are added.
+    """
     with convert_os_errors(path, "a readable TOML file"):
         here = Path(os.path.realpath(path))
     if here in ancestors:
@@ -137,7 +142,10 @@ def _read_with_base(path: Path, ancestors: tuple[Path, ...]) -> dict[str, Any]:
 
 
 def _merge_tables(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]:
-    """Merge a table into its base, entry by entry, in the order of the base, because samples depend on the order."""
+    """Merge a table into its base table, entry by entry.
+
+    The entries remain in the order of the base table, because sampled values depend on the order.
+    """
     merged = dict(base)
     for name, value in table.items():
         both = isinstance(value, dict) and isinstance(base.get(name), dict)
@@ -146,7 +154,7 @@ def _merge_tables(base: dict[str, Any], table: dict[str, Any]) -> dict[str, Any]
 
 
 def _resolve_path(name_or_path: str) -> Path:
-    """Return the path of a table from a name or path; raise InputError for an unknown name."""
+    """Return the path of the grade table with a given name or path; raise InputError if the name is unknown."""
     require_path(name_or_path, "grade_table")
     if Path(name_or_path).suffix == ".toml":
         return Path(name_or_path)
@@ -158,7 +166,7 @@ def _resolve_path(name_or_path: str) -> Path:
 
 
 def _require_every_grade(table: SeverityGradeTable, name: str) -> None:
-    """Raise InputError if a list in a severity table does not have one entry per grade."""
+    """Raise InputError if a list in a severity grade table does not have one entry per grade."""
     grades = [str(grade) for grade in table.grades]
     lists: dict[str, Sized] = {
         "osteophytes.level": table.osteophytes.level,

@@ -12,16 +12,17 @@ from ..table_records import (
 
 
 class KellgrenLawrenceRule(Record, frozen=True):
-    """Thresholds for deriving the KL grade from an anatomy.
+    """Thresholds for deriving the KL grade from the anatomy of a knee.
 
     Attributes
     ----------
     doubtful_mm : float
         Size above which an osteophyte counts as doubtful, in mm.
     definite_mm : float
-        Size from which an osteophyte counts as definite, in mm.
+        Smallest size of a definite osteophyte, in mm.
     jsw_loss_fractions : (float, float)
-        Thresholds of the lost fraction of the healthy joint space for definite (KL 3) and severe (KL 4) narrowing.
+        Thresholds of joint space loss for definite (KL 3) and severe (KL 4) narrowing, as fractions of the healthy
+        joint space width.
     """
 
     doubtful_mm: float
@@ -30,22 +31,24 @@ class KellgrenLawrenceRule(Record, frozen=True):
 
 
 class OarsiThresholds(Record, frozen=True):
-    """Lower thresholds of OARSI grades 1, 2 and 3, and healthy joint spaces.
+    """Lower thresholds of OARSI grades 1, 2 and 3, and healthy joint space widths.
 
     Attributes
     ----------
     osteophyte_mm : (float, float, float)
         Thresholds of osteophyte size, in mm.
     narrowing : (float, float, float)
-        Thresholds of the lost fraction of the healthy joint space.
+        Thresholds of joint space loss, as fractions of the healthy joint space width.
     healthy_mm : dict of str to (float, float)
-        Healthy medial and lateral joint space width in mm, mean of both sexes, keyed by the definition of the width.
+        Healthy medial and lateral joint space width, in mm, averaged over both sexes and keyed by the JSW definition
+        (``"projected"`` or ``"read"``).
     male_excess_mm : dict of str to float
-        Joint space width of men minus that of women in mm, keyed by the definition of the width.
+        Mean joint space width of men minus the mean of women, in mm, keyed by the JSW definition (``"projected"`` or
+        ``"read"``).
     plate : (float, float, float)
         Thresholds of the thickness of the tibial subchondral bone plate, relative to a healthy plate.
     attrition_mm : (float, float, float)
-        Thresholds of the largest depth worn off a compartment of the plateau, in mm.
+        Thresholds of the maximum attrition depth in a compartment of the tibial plateau, in mm.
     kellgren_lawrence : KellgrenLawrenceRule
         Thresholds for the derived KL grade.
     """
@@ -68,7 +71,7 @@ class OarsiThresholds(Record, frozen=True):
         sex : {"male", "female"}
             Sex.
         jsw_definition : {"projected", "read"}
-            Definition of the width, as in `Knee.jsw_definition`.
+            Definition of the joint space width, as in `Knee.jsw_definition`.
 
         Returns
         -------

@@ -7,7 +7,7 @@ from ..table_records import Record, parse_record
 
 
 class CohortPreset(Record, frozen=True):
-    """Definition of a cohort.
+    """Definition of a simulated cohort.
 
     Attributes
     ----------
@@ -18,11 +18,11 @@ class CohortPreset(Record, frozen=True):
     protocols : tuple of str
         Names of the protocols.
     repeats : int
-        Number of random splits by subject.
+        Number of random training-test splits by subject.
     retested : int
-        Number of knees that are imaged a second time, for the reliability of features.
+        Number of knees that are imaged twice to estimate the reliability of features.
     acquisition : str
-        "fixed" uses nominal protocols, and "sampled" samples acquisition variability as in `sample_acquisition`.
+        "fixed" for nominal protocols; "sampled" for the acquisition variability that `sample_acquisition` simulates.
     grade_table : str
         Name of the grade table from which knees are sampled.
     doses : tuple of float
@@ -30,9 +30,9 @@ class CohortPreset(Record, frozen=True):
     tilts_deg : tuple of float
         Angles that are added to the beam angle of a protocol, in degrees.
     matrix : int
-        Number of pixels along the longer side of the detector; 0 keeps the detector of the protocol.
+        Number of pixels along the longer side of the detector; 0 for the detector size of the protocol.
     settings : tuple of str
-        Changes of knee and protocol fields, as "field=value".
+        Changes to knee and protocol fields, in the form "field=value".
     """
 
     knees: tuple[int, ...]
@@ -50,7 +50,7 @@ class CohortPreset(Record, frozen=True):
 
 @cache
 def load_presets() -> dict[str, CohortPreset]:
-    """Load all cohort presets of the package.
+    """Load all cohort presets in the package.
 
     Returns
     -------

@@ -14,16 +14,16 @@ MeanSdByGrade = tuple[Pair, Pair, Pair, Pair, Pair]
 
 
 class ProgressionThresholds(Record, frozen=True):
-    """Osteophyte sizes that determine the KL grade of a knee as it progresses.
+    """Osteophyte size thresholds for the KL grade of a knee with progressing osteoarthritis.
 
     The thresholds of joint space loss are in `oarsi_table.KellgrenLawrenceRule`.
 
     Attributes
     ----------
     doubtful_mm : float
-        Size from which an osteophyte counts as doubtful, in mm.
+        Smallest size of a doubtful osteophyte, in mm.
     definite_mm : tuple of float
-        Size from which an osteophyte counts as definite, per KL grade at the first visit, in mm.
+        Smallest size of a definite osteophyte, per KL grade at the first visit, in mm.
     """
 
     doubtful_mm: float
@@ -42,33 +42,34 @@ class ProgressionRates(Record, frozen=True):
     medial : float
         Fraction of knees in which the medial compartment narrows, for grades below `narrowed_side_known_from_grade`.
     narrowed_side_known_from_grade : int
-        KL grade from which the compartment with the greater loss continues to narrow.
+        Lowest KL grade at the first visit for which the compartment with the greater joint space loss continues to
+        narrow.
     varus_deg_per_mm : float
-        Change of alignment per mm of difference in loss between the compartments, in degrees per mm.
+        Change in alignment for each mm of difference in joint space loss between the compartments, in degrees per mm.
     osteophyte_mm : tuple of (float, float)
         Growth of osteophytes, in mm per year.
     growth_factor_range : (float, float)
-        Range of the growth factor of a single osteophyte, which is sampled uniformly.
+        Range for uniform sampling of the growth factor of each osteophyte.
     new_osteophytes_per_year : tuple of float
-        Rate at which an osteophyte appears at a margin without an osteophyte, per year.
+        Rate at which a new osteophyte appears at a margin without an osteophyte, per year.
     most_mm : float
-        Largest size of an osteophyte, in mm.
+        Upper limit of the osteophyte size, in mm.
     least_mm : float
-        Smallest size of an osteophyte, in mm.
+        Size below which a new osteophyte is not added to the knee, in mm.
     plate : tuple of (float, float)
-        Thickening of the subchondral bone plate relative to a healthy plate, per year.
+        Thickening of the subchondral bone plate per year, relative to the thickness of a healthy plate.
     most_plate : float
-        Largest relative thickness of the subchondral bone plate.
+        Upper limit of the subchondral bone plate thickness, relative to a healthy plate.
     notch_mm : tuple of (float, float)
         Growth of bone into the notch, in mm per year.
     most_notch_mm : float
-        Largest growth into the notch, in mm.
+        Upper limit of the bone growth into the notch, in mm.
     swelling_mm : tuple of (float, float)
-        Increase of the thickness of capsule, synovium and fluid, in mm per year.
+        Increase in the thickness of capsule, synovium and fluid, in mm per year.
     most_swelling_mm : float
-        Largest swelling, in mm.
+        Upper limit of the joint swelling, in mm.
     step : ProgressionThresholds
-        Osteophyte sizes that determine the KL grade.
+        Osteophyte size thresholds for the KL grade.
     """
 
     loss_mm: MeanSdByGrade
@@ -92,7 +93,7 @@ class ProgressionRates(Record, frozen=True):
 
 @cache
 def load_progression_rates() -> ProgressionRates:
-    """Load the annual changes of the package.
+    """Load the annual rates of osteoarthritis progression.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-// Entry point of the page: send every parameter change to the server, then update image, exposure values and 3D view.
+// Entry point of the explore page: send each parameter change to the server, and update image, exposure and 3D view.
 
 import { showBusy } from "./busy.js";
 import { find, options, words } from "./dom.js";
@@ -15,7 +15,7 @@ const SIMULATING = "Simulating …", REFINING = "Preview: simulating full resolu
 export const film = new Film();
 export let store;
 let showValues, truth = null, pathLengths = null, dragging = false, previewPending = false, imageCount = 0;
-// Keys of the parameters of the displayed image and of the latest image at full resolution; whether the last request
+// Parameter keys of the displayed image and of the latest image at full resolution, and whether the last request
 // failed.
 let shownKey = "", fullResolutionKey = "", requestFailed = false;
 let masksKey = "", solidsKey = "", windowedProtocol = "", probeTimer = 0;
@@ -28,26 +28,26 @@ function showError(error) {
   find("#error").textContent = error.message;
 }
 const stateKey = (state) => JSON.stringify({ ...state, side: 0 });
-/** While the image does not match the parameters, show `text` over the image. */
+/** Show `text` over the image while the image does not match the parameters. */
 function updateBusy(text) {
   const same = fullResolutionKey === stateKey(requestState(0));
   if (same) showBusy("", false);
   else if (requestFailed) showBusy("This image is out of date", false);
   else showBusy(text, text !== "");
 }
-/** Return the state of the page for a request; `side` limits rows and columns of a preview, 0 for full resolution. */
+/** Return the state of the page for a request. `side` is the size of a preview in pixels, or 0 for full size. */
 function requestState(side) {
   const { knee, protocol, seed, processing } = store.now;
   return { knee, protocol, seed, processing, side };
 }
-/** Return a key of the parameters that affect the 3D view, the masks and the labels. */
+/** Return a key that identifies the parameters of the 3D view, the masks and the labels. */
 const geometryKey = ({ knee, protocol }) => JSON.stringify([knee, ["projection", "flexion_deg", "tibia_forward_deg",
   "rotation_deg", "tilt_deg", "beam_along", "beam_angle_deg", "sdd_mm", "sod_mm", "centre_x_mm", "centre_z_mm", "rows",
   "cols", "pixel_mm",
 ].map((name) => protocol[name])]);
 
-/** Request and show one image. After a preview, show the text `next` over it. Return "whole" for full resolution,
- *  "coarse" for a preview, "" after an error. */
+/** Request and show one image. Show the text `next` over a preview. Return "whole" for an image at full resolution,
+ *  "coarse" for a preview, and "" after an error. */
 async function showImage(side, next) {
   const began = performance.now(), state = requestState(side), key = stateKey(state);
   try {
@@ -65,7 +65,7 @@ async function showImage(side, next) {
     [shownKey, fullResolutionKey, requestFailed] = [key, whole ? key : "", false];
     updateBusy(key === stateKey(requestState(0)) ? next : SIMULATING);
     showStatus(`${whole ? "Full resolution" : "Preview"}, ${rows} × ${cols} pixels`);
-    // Tests wait for this attribute: number of images so far, and resolution of the last image.
+    // Tests wait for this attribute, which contains the number of images and the resolution of the latest image.
     document.documentElement.dataset.picture = `${++imageCount} ${whole ? "whole" : "coarse"}`;
     updateCursor();
     return whole ? "whole" : "coarse";
@@ -77,7 +77,7 @@ async function showImage(side, next) {
   }
 }
 
-/** While a slider is dragged: request one preview at a time, and finally a preview of the latest value. */
+/** Request previews while a slider is dragged: one preview at a time, and always one with the latest value. */
 async function showPreviews() {
   if (dragging) { previewPending = true; return; }
   dragging = true;
@@ -88,7 +88,7 @@ async function showPreviews() {
   dragging = false;
 }
 
-/** When a slider is released: show a preview unless it is already displayed, then full resolution. */
+/** Request an image after a slider is released: a preview if none is displayed, then an image at full resolution. */
 async function refresh() {
   previewPending = false;
   if (shownKey !== stateKey(requestState(0))) {
@@ -102,7 +102,7 @@ async function refresh() {
   if (await showImage(0, "")) updateDependents();
 }
 
-/** After an image at full resolution: update masks, Python code and 3D view. */
+/** Update masks, Python code and 3D view after an image at full resolution. */
 async function updateDependents() {
   const state = requestState(0), geometry = geometryKey(state);
   try {
@@ -142,7 +142,7 @@ function describeComparison() {
   if (!film.pinned) return;
   const names = differingLabels(film.present.state, film.pinned.state, store.listing);
   const more = names.length > MOST_NAMES ? ` and ${names.length - MOST_NAMES} more` : "";
-  const what = names.length ? `The current image differs from the pinned one in ${names.slice(0, MOST_NAMES).join(", ")}${more}.`
+  const what = names.length ? `The current image differs from the pinned image in ${names.slice(0, MOST_NAMES).join(", ")}${more}.`
     : "Both images have the same parameters.";
   find("#compared").textContent = film.differs ? `${what} Orange: current larger; blue: current smaller; dark: equal.` : what;
 }

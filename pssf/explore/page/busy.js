@@ -1,12 +1,12 @@
-// Busy sign over the radiograph, which is shown while the image does not match the parameters.
+// Busy indicator over the radiograph, which is visible while the image does not match the parameters.
 
 import { find } from "./dom.js";
 
-// Delay before the sign appears, and shortest time for which it is shown, in ms; both prevent flicker.
+// Delay before the busy indicator appears, and its minimum display time, in ms. Both times prevent flicker.
 const DELAY_MS = 150;
 let timer = 0, wanted = "", since = 0;
 
-/** Show a text over the image, or hide the sign if the text is empty. `running` is true while a simulation runs. */
+/** Show a text over the image, or hide the busy indicator if the text is empty. `running`: simulation active. */
 export function showBusy(text, running) {
   const sign = find("#busy"), visible = sign.textContent !== "";
   wanted = text;

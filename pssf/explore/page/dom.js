@@ -1,4 +1,4 @@
-// Helpers that create and find elements.
+// Helper functions that create and find HTML elements.
 
 export const find = (selector) => document.querySelector(selector);
 
@@ -16,16 +16,16 @@ export function make(parent, name, attributes = {}, text = "") {
 const SPOKEN = { jsw: "JSW", ap: "AP", pa: "PA", kv: "kV", mas: "mAs", lyon: "Lyon", schuss: "Schuss", rosenberg: "Rosenberg",
   gos: "GOS", csi: "CsI", mtf: "MTF", monte: "Monte", carlo: "Carlo" };
 
-/** Convert an identifier to words, with the usual spelling of abbreviations and names. */
+/** Convert an identifier to words, with standard spelling of abbreviations and names. */
 export const words = (name) => name.split("_").map((word) => (Object.hasOwn(SPOKEN, word) ? SPOKEN[word] : word)).join(" ");
 
-/** Fill a select with options, given as pairs of value and text. */
+/** Fill a select element with options from pairs of value and text. */
 export function options(select, pairs) {
   select.textContent = "";
   for (const [value, text] of pairs) make(select, "option", { value }, text);
 }
 
-/** Append a table with two columns. */
+/** Append a two-column table to an element. */
 export function table(parent, caption, rows) {
   const made = make(parent, "table");
   make(made, "caption", {}, caption);

@@ -1,4 +1,4 @@
-// Controls for fields: slider with number box, list, or text box, each with unit, range and description.
+// Controls for parameter fields: slider with number box, list, or text box. Each has a unit, range and description.
 
 import { make, words } from "./dom.js";
 
@@ -11,7 +11,7 @@ const stepOf = ([low, high], whole) => {
 
 function addLabel(parent, field) {
   const id = `f${++count}`, label = make(parent, "label", { for: id });
-  // The tooltip shows the name of the field in Python.
+  // The tooltip shows the Python name of the field.
   label.title = field.name;
   label.append(field.label);
   if (field.unit) label.append(" "), make(label, "span", { class: "unit" }, field.unit);
@@ -20,7 +20,7 @@ function addLabel(parent, field) {
 
 function addHint(parent, field, id) {
   const round = (value) => value.toLocaleString("en", { maximumFractionDigits: 6 });
-  // A browser would round the limits of a text field, so the hint gives the number of digits instead of a range.
+  // JavaScript rounds large integers, so the hint of a text field shows the number of digits instead of the range.
   const range = field.low === null ? ""
     : field.text ? "whole number, up to 19 digits" : `${round(field.low)} to ${round(field.high)}`;
   const text = [field.what, range && `(${range})`].filter(Boolean).join(" ");
@@ -71,8 +71,8 @@ function makeTextControl(parent, field, id, report) {
   return (value) => { box.value = value; };
 }
 
-/** Create a control that calls `report(value, final)` on a change; `final` is false while a slider is dragged. Return a
- *  function that shows a value. */
+/** Create a control that calls `report(value, final)` after a change. `final` is false while a slider is dragged.
+ *  Return a function that sets the displayed value. */
 export function control(parent, field, report) {
   const box = make(parent, "div", { class: "field", "data-field": field.name }), id = addLabel(box, field);
   const kind = field.choices ? makeChoiceControl : field.named || field.text ? makeTextControl : makeNumberControl;
@@ -81,7 +81,7 @@ export function control(parent, field, report) {
   return show;
 }
 
-/** Create groups of controls for the fields of "knee" or "protocol". Return a function that shows all values. */
+/** Create groups of controls for the fields of "knee" or "protocol". Return a function that sets all values. */
 export function groups(parent, listed, kind, store) {
   const shows = [];
   listed.forEach(({ title, fields }, index) => {
@@ -95,7 +95,7 @@ export function groups(parent, listed, kind, store) {
   return (values) => shows.forEach((show) => show(values));
 }
 
-/** Create controls for the mode scores of the bone shape model. Return a function that shows all scores. */
+/** Create controls for the mode scores of the bone shape model. Return a function that sets the displayed scores. */
 export function shapes(parent, modes, store) {
   const box = make(parent, "details", { class: "group", "data-group": "knee Shape" });
   make(box, "summary", {}, "Bone shape scores");
@@ -111,7 +111,7 @@ export function shapes(parent, modes, store) {
   return (scores) => shows.forEach((show, index) => show(scores[index] ?? 0));
 }
 
-/** Create a list of osteophytes or cysts with controls for their fields. Return a function that shows all items. */
+/** Create a list of osteophytes or cysts with controls for their fields. Return a function that sets the items. */
 export function items(parent, name, fields, most, store) {
   const box = make(parent, "details", { class: "group", "data-group": `knee ${name}` });
   const title = make(box, "summary"), list = make(box, "div");
@@ -126,7 +126,7 @@ export function items(parent, name, fields, most, store) {
   return (given) => {
     title.textContent = `${name[0].toUpperCase()}${name.slice(1)} (${given.length})`;
     add.disabled = given.length >= most;
-    // Controls are created again only if the number of items has changed. Otherwise a dragged slider would disappear.
+    // Controls are recreated only if the number of items has changed; otherwise, a dragged slider would disappear.
     if (shown !== given.length) {
       list.textContent = "";
       shows = given.map((_, index) => {

@@ -12,7 +12,7 @@ export class Film {
     this.viewport = find("#viewport");
     this.present = this.pinned = null;
     this.width = this.level = null;
-    // Whether new images get an automatic window; it becomes false after the first image at full resolution.
+    // Whether the window of a new image is set automatically; false after the first image at full resolution.
     this.needsAutoWindow = false;
     this.zoom = 1;
     this.middle = [0.5, 0.5];
@@ -22,12 +22,12 @@ export class Film {
     this.onCursor = () => {};
     this.listen();
     new ResizeObserver(() => this.updateLayout()).observe(this.viewport);
-    // The histogram is drawn again in the colours of the page if the colour scheme changes.
+    // After a change of the colour scheme, the histogram is redrawn in the new colours of the page.
     this.darkMode = matchMedia("(prefers-color-scheme: dark)");
     this.darkMode.onchange = () => { if (this.shown) this.drawHistogram(this.shown.pixels); };
   }
 
-  /** Displayed image: the pinned image if it is selected, else the current image. */
+  /** Displayed image: the pinned image if selected, otherwise the current image. */
   get shown() {
     const which = find("#compare").value;
     if (which === "a" && this.pinned) return this.pinned;
@@ -66,7 +66,7 @@ export class Film {
     const picture = this.shown;
     if (!picture) return;
     const { rows, cols } = picture.header;
-    // Linear images must be inverted for bright bone. After display processing, bone is already bright.
+    // A linear image is inverted to show bright bone. In an image with display processing, bone is already bright.
     const invert = find("#bone-bright").checked === (picture.header.processing === "linear");
     const table = this.differs ? differenceTable(this.width) : greyTable(this.width, this.level, invert);
     const pixels = this.differs ? subtract(picture.pixels, subsample(this.pinned, rows, cols)) : picture.pixels;
@@ -107,13 +107,13 @@ export class Film {
     return [(event.clientX - own.left - left) / size[0], (event.clientY - own.top - top) / size[1]];
   }
 
-  /** Return row and column of the pixel at a position; null outside the image. */
+  /** Return row and column of the pixel at a position, or null outside the image. */
   pixelAt([x, y]) {
     const { rows, cols } = this.shown.header, row = Math.floor(y * rows), col = Math.floor(x * cols);
     return row >= 0 && row < rows && col >= 0 && col < cols ? [row, col] : null;
   }
 
-  /** Return the value of the pinned image at a position. */
+  /** Return the pixel value of the pinned image at a position. */
   pinnedAt([x, y]) {
     const { rows, cols } = this.pinned.header;
     return this.pinned.pixels[Math.floor(y * rows) * cols + Math.floor(x * cols)];
@@ -142,7 +142,7 @@ export class Film {
     this.point(position);
   }
 
-  /** Measured distance in the joint plane, in mm; null if there is none. */
+  /** Measured distance in the joint plane, in mm; null if no distance is measured. */
   get measuredMm() {
     if (this.measured.length < 2 || !this.shown) return null;
     const { rows, cols, joint_mm_per_px: mm } = this.shown.header, [[x1, y1], [x2, y2]] = this.measured;

@@ -2,7 +2,7 @@
 
 import { find, make, words } from "./dom.js";
 
-// Mask colours that colour-blind users can distinguish (Okabe and Ito).
+// Mask colours that are safe for colour-blind users (Okabe and Ito).
 const COLOURS = { femur: [230, 159, 0], tibia: [86, 180, 233], fibula: [0, 158, 115], patella: [240, 228, 66],
   fabella: [204, 121, 167], osteophyte: [213, 94, 0], cyst: [0, 114, 178] };
 const EDGE_PX = 2;
@@ -22,12 +22,12 @@ export function drawOverlay(film, truth) {
   if (find("#show-spaces").checked) for (const side of ["medial", "lateral"]) {
     const mm = truth?.[`jsw_${side}_mm`];
     if (mm === null || mm === undefined) continue;
-    // The line joins the contours of femur and tibia at the minimum joint space width.
+    // The line connects the contours of femur and tibia at the minimum joint space width.
     const femur = spots[`${side}_jsw_femur`], col = femur[1];
     const [[x, top], [foot, bottom]] = [at(femur), at(spots[`${side}_jsw_tibia`])];
     make(svg, "path", { class: "space", d: `M${x - 8} ${top}h16M${x} ${top}L${foot} ${bottom}M${foot - 8} ${bottom}h16`,
       "data-space": side });
-    // The value is written on the medial or lateral side of the joint, as its compartment.
+    // The value is written on the side of the compartment, medial or lateral to the joint.
     const left = col < spots.joint_centre[1];
     make(svg, "text", { x: left ? x - 11 : x + 11, y: (top + bottom) / 2 + 4, "text-anchor": left ? "end" : "start" },
       `${side} ${mm.toFixed(1)} mm`);
@@ -55,14 +55,14 @@ export function showLegend(names) {
   const legend = find("#legend");
   legend.hidden = !names.length;
   legend.textContent = "";
-  // The security policy of the page forbids style attributes, so the script sets a style property.
+  // The content security policy forbids style attributes, so the script sets a style property.
   for (const name of names)
     make(legend, "span", {}, words(name)).style.setProperty("--colour", `rgb(${colourOf(name).join(" ")})`);
 }
 
 const colourOf = (name) => COLOURS[name] ?? COLOURS[name.split("_").at(-1)] ?? [255, 255, 255];
 
-/** Draw the outlines of masks (one bit per pixel) on a canvas over the image. Return the names of the masks. */
+/** Draw mask outlines on a canvas over the image, from masks with one bit per pixel. Return the mask names. */
 export function drawMasks(film, masks) {
   find("#masks")?.remove();
   if (!masks) return film.updateLayout(), [];

@@ -1,6 +1,6 @@
-// Functions on pixel arrays: window and level, histogram, differences.
+// Functions for pixel arrays: window and level, histogram, and difference images.
 
-/** Return a table of the grey level of each 16-bit value, as RGBA in a Uint32: black below the window, white above. */
+/** Return a lookup table from 16-bit values to grey levels (RGBA as Uint32): black below the window, white above. */
 export function greyTable(width, level, invert) {
   const table = new Uint32Array(65536), low = level - width / 2;
   for (let value = 0; value < 65536; value++) {
@@ -11,7 +11,7 @@ export function greyTable(width, level, invert) {
   return table;
 }
 
-/** Return a table of the colour of each difference, blue if negative, orange if positive; index 32768 + difference. */
+/** Return a lookup table from differences to colours, blue if negative, orange if positive; index 32768 + difference. */
 export function differenceTable(width) {
   const table = new Uint32Array(65536);
   for (let k = 0; k < 65536; k++) {
@@ -23,7 +23,7 @@ export function differenceTable(width) {
   return table;
 }
 
-/** Return 32768 + b - a, clipped to 16 bits. */
+/** Return the difference of two images, 32768 + b - a, clipped to 16 bits. */
 export function subtract(b, a) {
   const out = new Uint16Array(b.length);
   for (let k = 0; k < out.length; k++) out[k] = Math.min(65535, Math.max(0, 32768 + b[k] - a[k]));
@@ -47,7 +47,7 @@ export function histogram(pixels, bins) {
   return counts;
 }
 
-/** Return a quantile of the values below `most`, from a histogram with 65536 bins. */
+/** Return a quantile of the pixel values below `most`, computed from a histogram with 65536 bins. */
 function quantile(counts, share, most = 65536) {
   const wanted = share * counts.subarray(0, most).reduce((sum, value) => sum + value, 0);
   let sum = 0;
@@ -55,15 +55,15 @@ function quantile(counts, share, most = 65536) {
   return 65535;
 }
 
-/** Return width and level of a window for bone in a linear image. The window covers only values below half of the open
- *  beam, because bone would be uniformly white with the wide range of soft tissue. */
+/** Return width and level of a bone window for a linear image. The window covers only values below half of the
+ *  open-beam signal, because bone would be uniformly white in a window that includes soft tissue. */
 export function boneWindow(pixels) {
   const counts = histogram(pixels, 65536), open = Math.max(2, Math.round(quantile(counts, 0.999) / 2));
   const low = quantile(counts, 0.005, open), high = quantile(counts, 0.6, open);
   return { width: Math.max(1, high - low), level: Math.round((low + high) / 2) };
 }
 
-/** Convert pixels to RGBA by a colour table, and write them into `image`. */
+/** Convert pixels to RGBA with a lookup table, and write the result to `image`. */
 export function applyTable(pixels, table, image) {
   const out = new Uint32Array(image.data.buffer);
   for (let k = 0; k < out.length; k++) out[k] = table[pixels[k]];

@@ -4,7 +4,7 @@ import { find, table, words } from "./dom.js";
 
 const number = (value, digits) => (value === null || value === undefined ? "not available" : value.toFixed(digits));
 
-/** Show the values under the cursor, with path lengths per material in mm if available. */
+/** Show the values under the cursor, with the path length in each material in mm if available. */
 export function showCursor(film, pathLengths) {
   const box = find("#cursor");
   const pixel = film.cursor && film.shown ? film.pixelAt(film.cursor) : null;

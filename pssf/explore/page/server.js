@@ -1,9 +1,9 @@
-// Requests to the server of the page. Addresses are relative to the page, so they contain the token.
+// Requests to the explore server. The URLs are relative to the page, so they contain the secret token.
 
 const tab = Array.from(crypto.getRandomValues(new Uint8Array(12)), (byte) => byte.toString(16).padStart(2, "0")).join("");
 const running = new Map();
 
-/** Error of a request that a newer request has superseded, which is not a failure. */
+/** Error raised when a newer request supersedes a request; it is not reported as a failure. */
 export class Superseded extends Error {}
 
 async function send(address, body, signal) {
@@ -21,7 +21,7 @@ async function send(address, body, signal) {
   throw new Error(reply.error);
 }
 
-/** Send a request, and abort the previous request of the same kind, even if its answer has partly arrived. */
+/** Send a request, and abort the previous request of the same type, even if its answer has partly arrived. */
 async function latest(kind, address, body, read) {
   running.get(kind)?.abort();
   const control = new AbortController(), { signal } = control;
@@ -44,10 +44,10 @@ async function unpack(answer) {
   return { header, content: bytes.slice(4 + length) };
 }
 
-/** Request the radiograph of a state: header and pixels (Uint16Array, row by row). */
+/** Request the radiograph for a page state. Return header and pixels (Uint16Array in row-major order). */
 export async function radiograph(state) {
   const { header, content } = await latest("radiograph", "answer/radiograph", state, unpack);
-  // The bytes are little-endian, which is the byte order of all machines with current browsers.
+  // The pixels are little-endian, which is the native byte order on all platforms with current browsers.
   return { header, pixels: new Uint16Array(content) };
 }
 

@@ -1,10 +1,10 @@
-// State of the page: knee, protocol, noise seed and display processing; undo, redo, and a link with the state.
+// Page state: knee, protocol, noise seed and display processing, with undo, redo and a link that contains the state.
 
 import { words } from "./dom.js";
 
 const DEPTH = 200;
 
-/** Return the entries of `values` that differ from the entries of `from`. */
+/** Return the entries of `values` that differ from those in `from`. */
 function differing(values, from) {
   return Object.fromEntries(Object.entries(values).filter(([name, value]) =>
     JSON.stringify(value) !== JSON.stringify(from[name])));
@@ -33,7 +33,7 @@ export class Store {
       seed: 0, processing: first.processing };
   }
 
-  /** Apply a change. `final` is false while a slider is dragged. A final change becomes one step of undo. */
+  /** Apply a change. `final` is false while a slider is dragged. A final change is added to the undo history. */
   change(changes, final) {
     const next = { ...this.now, ...changes };
     if (final) {
@@ -63,7 +63,7 @@ export class Store {
     this.listeners.forEach((listener) => listener(true));
   }
 
-  /** Return the state as an address fragment: the values that differ from the default knee and the named protocol. */
+  /** Return the state as a URL fragment, with the values that differ from the default knee and the named protocol. */
   link() {
     const { knee, protocol, from, seed, processing } = this.now, first = this.start();
     const content = { from, knee: differing(knee, first.knee), protocol: differing(protocol, this.listing.protocols[from]),
@@ -71,7 +71,7 @@ export class Store {
     return `#${encodeURIComponent(JSON.stringify(content))}`;
   }
 
-  /** Read a state from an address fragment; null if it is invalid. The server checks the values. */
+  /** Read a state from a URL fragment; return null if the fragment is invalid. The server validates the values. */
   read(fragment) {
     let content;
     try { content = JSON.parse(decodeURIComponent(fragment.replace(/^#/, ""))); } catch { return null; }

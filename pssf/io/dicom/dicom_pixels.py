@@ -1,4 +1,4 @@
-"""Decode pixel data of DICOM objects; handle empty attributes, padding and compressed transfer syntaxes."""
+"""Decoding of DICOM pixel data, with support for empty attributes, padding and compressed transfer syntaxes."""
 
 from pathlib import Path
 from typing import Any
@@ -10,24 +10,25 @@ from pydicom.pixels import get_decoder
 
 from ...core.checks import InputError
 
-_DECODER_HINT = "install decoders of JPEG, JPEG-LS and JPEG 2000 with pip install 'pssf[compressed]'"
+_DECODER_HINT = "install decoders for JPEG, JPEG-LS and JPEG 2000 with pip install 'pssf[compressed]'"
 
 
 def remove_empty_attributes(item: FileDataset) -> FileDataset:
-    """Remove attributes without a value, which DICOM allows and pydicom rejects.
+    """Remove attributes without a value, which are valid in DICOM but cause errors in pydicom.
 
-    An empty VOI LUT function means LINEAR (PS3.3, C.11.2.1.3). A missing rescale slope is set to 1 if there is an
-    intercept, and a missing intercept to 0 if there is a slope. A look-up table without descriptor or data is removed.
+    An empty VOI LUT function means LINEAR (PS3.3, C.11.2.1.3). A missing rescale slope is set to 1 if an intercept is
+    present, and a missing intercept is set to 0 if a slope is present. A look-up table without descriptor or data is
+    removed.
 
     Parameters
     ----------
     item : pydicom.dataset.FileDataset
-        DICOM object, which is changed in place.
+        DICOM object, which is modified in place.
 
     Returns
     -------
     pydicom.dataset.FileDataset
-        The object `item`, after the change.
+        The modified object `item`.
     """
     for name in ("ModalityLUTSequence", "VOILUTSequence"):
         if name in item:
@@ -48,24 +49,24 @@ def remove_empty_attributes(item: FileDataset) -> FileDataset:
 
 
 def prepare_for_display(item: FileDataset, path: Path) -> FileDataset:
-    """Remove empty attributes, and check the VOI window, before an object is displayed.
+    """Prepare a DICOM object for display: remove empty attributes and check the VOI window.
 
     Parameters
     ----------
     item : pydicom.dataset.FileDataset
-        DICOM object, which is changed in place.
+        DICOM object, which is modified in place.
     path : Path
         Path shown in error messages.
 
     Returns
     -------
     pydicom.dataset.FileDataset
-        The object `item`, after the change.
+        The modified object `item`.
 
     Raises
     ------
     InputError
-        The width of the window is too small.
+        The window width is too small.
     """
     item = remove_empty_attributes(item)
     if "WindowWidth" in item:
@@ -77,7 +78,7 @@ def prepare_for_display(item: FileDataset, path: Path) -> FileDataset:
 
 
 def find_padding(item: FileDataset, stored: NDArray[Any]) -> NDArray[np.bool_]:
-    """Find the padding pixels of an object, which do not belong to the image.
+    """Find the padding pixels of a DICOM object, which do not belong to the image.
 
     Parameters
     ----------
@@ -89,7 +90,8 @@ def find_padding(item: FileDataset, stored: NDArray[Any]) -> NDArray[np.bool_]:
     Returns
     -------
     (rows, cols) bool array
-        True for values from the padding value to the range limit. All False if the object has no padding value.
+        True for pixels with values from PixelPaddingValue to PixelPaddingRangeLimit. All pixels are False if the object
+        has no padding value.
     """
     value, limit = (item.get(f"PixelPadding{end}") for end in ("Value", "RangeLimit"))
     if value is None:
@@ -99,7 +101,7 @@ def find_padding(item: FileDataset, stored: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def decode_pixels(item: FileDataset, path: Path) -> NDArray[Any]:
-    """Decode the stored pixel values of an object; compressed values need an installed plugin of pydicom.
+    """Decode the stored pixel values of a DICOM object. Compressed pixels require an installed pydicom plugin.
 
     Parameters
     ----------
@@ -111,19 +113,19 @@ def decode_pixels(item: FileDataset, path: Path) -> NDArray[Any]:
     Returns
     -------
     (rows, cols) or (frames, rows, cols) array
-        Stored values, without unit.
+        Stored pixel values, dimensionless.
 
     Raises
     ------
     InputError
-        No installed plugin of pydicom decodes the pixels.
+        No installed pydicom plugin can decode the pixels.
     """
     require_decoder(item, path)
     return item.pixel_array
 
 
 def require_decoder(item: FileDataset, path: Path) -> None:
-    """Require that pydicom can decode the pixels of an object with an installed plugin.
+    """Require that an installed pydicom plugin can decode the pixels of a DICOM object.
 
     Parameters
     ----------
@@ -135,24 +137,24 @@ def require_decoder(item: FileDataset, path: Path) -> None:
     Raises
     ------
     InputError
-        The pixels cannot be decoded. The message names the transfer syntax, and the packages that decode it.
+        The pixels cannot be decoded. The message contains the transfer syntax and the packages that can decode it.
     """
     syntax = item.file_meta.get("TransferSyntaxUID")
     if syntax is None:
         return
     try:
-        # pydicom raises ValueError for a transfer syntax that it does not know.
+        # pydicom raises ValueError for an unknown transfer syntax.
         if not syntax.is_compressed:
             return
         decoder = get_decoder(syntax)
     except (NotImplementedError, ValueError):
         raise InputError(
-            f"file {path}: transfer syntax must be one that pydicom decodes to single images, got {syntax.name} "
+            f"file {path}: transfer syntax must be one that pydicom can decode to single images, got {syntax.name} "
             f"({syntax})"
         ) from None
     if not decoder.is_available:
         lacking = "; ".join(entry.strip() for entry in decoder.missing_dependencies)
         raise InputError(
-            f"file {path}: transfer syntax must be one that an installed plugin decodes, got {syntax.name} ({syntax}): "
-            f"{_DECODER_HINT} (pydicom's plugins for it: {lacking})"
+            f"file {path}: transfer syntax must be one that an installed pydicom plugin can decode, got {syntax.name} "
+            f"({syntax}): {_DECODER_HINT} (suitable plugins: {lacking})"
         )

@@ -1,4 +1,4 @@
-"""Read and write DICOM Digital X-Ray objects: For Processing (linear pixels) and For Presentation (for display)."""
+"""DICOM Digital X-Ray objects: For Processing (linear pixels) and For Presentation (display processing)."""
 
 import hashlib
 import json
@@ -43,13 +43,13 @@ def write_radiograph(
     radiograph : Radiograph
         Radiograph to write.
     description : str
-        JSON metadata, stored in the acquisition context, because archives delete private attributes.
+        JSON metadata. They are stored in the acquisition context, because archives delete private attributes.
     path : Path
         File to write.
     intent : {"processing", "presentation"}
-        "processing" writes linear pixels with 16 bits, "presentation" an image with display processing and 12 bits.
+        "processing" writes linear 16-bit pixels. "presentation" writes a 12-bit image with display processing.
     side : {"right", "left"} or None
-        Side of the marker that is drawn on a presentation image with the edge of the collimator. None draws neither.
+        Knee side, for a side marker and a collimator edge on a presentation image. None to draw neither.
     processing : FlatPanelProcessing, ScreenFilm or None
         Display processing of a presentation image; None for the log display.
     """
@@ -76,14 +76,14 @@ def write_radiograph(
     if intent == "presentation":
         remark = f"for display, not for measurement of intensity; processing {format_processing(processing)}"
         item.SourceImageSequence = [make_reference_item(uids, tables, "source_of_processing")]
-        # Presentation images of one radiograph with different processing are separate objects of the same series.
+        # Presentation images with different display processing are separate objects in the same series.
         item.SOPInstanceUID = make_uid(uids[intent], remark, side or "")
     item.ImageComments = f"SYNTHETIC, no patient. Pixels {remark}.{_describe_beam(radiograph.protocol)}"
     write_dataset(item, pixels, path)
 
 
 def read_linear_radiograph(path: Path) -> tuple[NDArray[Any], str]:
-    """Read the linear pixels and the metadata of a For Processing object that this package wrote.
+    """Read the linear pixels and the metadata from a For Processing object that PSSF wrote.
 
     Parameters
     ----------
@@ -93,27 +93,27 @@ def read_linear_radiograph(path: Path) -> tuple[NDArray[Any], str]:
     Returns
     -------
     pixels : (rows, cols) array
-        Linear pixels, DN.
+        Linear pixels, in DN.
     metadata : str
         JSON metadata.
 
     Raises
     ------
     InputError
-        Another program wrote the object, or the object is For Presentation. A damaged file can raise any error.
+        The object was not written by PSSF, or is For Presentation. A damaged file can raise any exception.
     """
     item, description = read_radiograph_dataset(path)
     wanted = load_dicom_tables().processing["PresentationIntentType"]
     if item.PresentationIntentType != wanted:
         raise InputError(
             f"file {path}: PresentationIntentType must be {wanted}, which has linear pixels, got "
-            f"{item.PresentationIntentType!r}: load_parameters reads the parameters of both intents"
+            f"{item.PresentationIntentType!r}: use load_parameters to read the parameters"
         )
     return decode_pixels(item, path), description
 
 
 def read_metadata(path: Path) -> tuple[NDArray[Any] | None, str]:
-    """Read the metadata of a Digital X-Ray object of this package, and its pixels if they are linear.
+    """Read the metadata, and the pixels if they are linear, from a Digital X-Ray object that PSSF wrote.
 
     Parameters
     ----------
@@ -123,14 +123,14 @@ def read_metadata(path: Path) -> tuple[NDArray[Any] | None, str]:
     Returns
     -------
     pixels : (rows, cols) array or None
-        Linear pixels, DN; None if the object is For Presentation.
+        Linear pixels, in DN; None if the object is For Presentation.
     metadata : str
         JSON metadata.
 
     Raises
     ------
     InputError
-        Another program wrote the object, or the object is not a radiograph. A damaged file can raise any error.
+        The object was not written by PSSF, or is not a radiograph. A damaged file can raise any exception.
     """
     item, description = read_radiograph_dataset(path)
     linear = item.PresentationIntentType == load_dicom_tables().processing["PresentationIntentType"]
@@ -138,7 +138,7 @@ def read_metadata(path: Path) -> tuple[NDArray[Any] | None, str]:
 
 
 def read_radiograph_dataset(path: Path) -> tuple[FileDataset, str]:
-    """Read a Digital X-Ray object of this package, For Processing or For Presentation.
+    """Read a Digital X-Ray object that PSSF wrote, either For Processing or For Presentation.
 
     Parameters
     ----------
@@ -155,21 +155,21 @@ def read_radiograph_dataset(path: Path) -> tuple[FileDataset, str]:
     Raises
     ------
     InputError
-        Another program wrote the object, or the object is not a radiograph. A damaged file can raise any error.
+        The object was not written by PSSF, or is not a radiograph. A damaged file can raise any exception.
     """
     item = read_own_dataset(path, "radiograph")
     return item, item.AcquisitionContextSequence[0].TextValue
 
 
 def read_own_dataset(path: Path, kind: str) -> FileDataset:
-    """Read a DICOM object that this package wrote.
+    """Read a DICOM object that PSSF wrote.
 
     Parameters
     ----------
     path : Path
         File to read.
     kind : str
-        Table of `data/dicom.toml` with the required modality, such as "radiograph" or "segmentation".
+        Table in `data/dicom.toml` that contains the required modality, such as "radiograph" or "segmentation".
 
     Returns
     -------
@@ -179,7 +179,7 @@ def read_own_dataset(path: Path, kind: str) -> FileDataset:
     Raises
     ------
     InputError
-        Another program wrote the object, or its modality differs. A damaged file can raise any error.
+        The object was not written by PSSF, or has another modality. A damaged file can raise any exception.
     """
     item = pydicom.dcmread(path)
     tables = load_dicom_tables()
@@ -191,23 +191,23 @@ def read_own_dataset(path: Path, kind: str) -> FileDataset:
 def make_common_attributes(
     radiograph: Radiograph, uids: Mapping[str, UID], kinds: Iterable[str], tables: DicomTables
 ) -> Dataset:
-    """Make the common attributes of DICOM objects of a radiograph: constants, patient, study and software.
+    """Create the attributes that all DICOM objects of a radiograph share: constants, patient, study and software.
 
     Parameters
     ----------
     radiograph : Radiograph
-        Radiograph that the object represents.
+        Radiograph for which the DICOM object is created.
     uids : dict of str to UID
-        UIDs from `make_uids`.
+        UIDs that `make_uids` returned.
     kinds : iterable of str
-        Tables of `data/dicom.toml` whose constants are added, such as "radiograph".
+        Names of tables in `data/dicom.toml` with constants to add, such as "radiograph".
     tables : DicomTables
         DICOM constants and codes.
 
     Returns
     -------
     pydicom.dataset.Dataset
-        Attributes of the object.
+        Data set with the common attributes.
     """
     item = Dataset()
     for kind in ("every", *kinds):
@@ -229,14 +229,14 @@ def make_common_attributes(
 
 
 def write_dataset(item: Dataset, pixels: NDArray[Any], path: Path) -> None:
-    """Write a DICOM object with its pixels, uncompressed and little-endian.
+    """Write a DICOM object with uncompressed little-endian pixels.
 
     Parameters
     ----------
     item : pydicom.dataset.Dataset
-        Attributes of the object; the pixels are added in place.
+        Attributes of the object, to which the pixels are added in place.
     pixels : (rows, cols) array, DN, or (bytes,) array of packed bits of all frames
-        Pixel data.
+        Pixels of an image, or packed bits of all segmentation frames.
     path : Path
         File to write.
     """
@@ -251,19 +251,19 @@ def write_dataset(item: Dataset, pixels: NDArray[Any], path: Path) -> None:
 
 
 def make_uids(radiograph: Radiograph, description: str) -> dict[str, UID]:
-    """Derive UIDs from the content of a radiograph; the same content gives the same UIDs.
+    """Derive DICOM UIDs from the content of a radiograph, so that identical content yields identical UIDs.
 
     Parameters
     ----------
     radiograph : Radiograph
-        Radiograph that the objects represent.
+        Radiograph for which DICOM objects are created.
     description : str
         JSON metadata of the radiograph.
 
     Returns
     -------
     dict of str to UID
-        UID of the study (one study per knee), UIDs of the series and object of each intent, and UID of the mask series.
+        UIDs of the study (one study per knee), of the series and the object for each intent, and of the mask series.
     """
     content = hashlib.sha256(description.encode())
     content.update(np.ascontiguousarray(radiograph.pixels, "<u2").tobytes())
@@ -276,21 +276,21 @@ def make_uids(radiograph: Radiograph, description: str) -> dict[str, UID]:
 
 
 def make_reference_item(uids: Mapping[str, UID], tables: DicomTables, purpose: str | None = None) -> Dataset:
-    """Make a reference to the For Processing object of a radiograph.
+    """Create a reference to the For Processing object of a radiograph.
 
     Parameters
     ----------
     uids : dict of str to UID
-        UIDs from `make_uids`.
+        UIDs that `make_uids` returned.
     tables : DicomTables
         DICOM constants and codes.
     purpose : str or None
-        Name of the code for the purpose of the reference; None states no purpose.
+        Name of the code that states the purpose of the reference; None to omit the purpose.
 
     Returns
     -------
     pydicom.dataset.Dataset
-        Item of a sequence of references.
+        Item for a DICOM reference sequence.
     """
     item = make_dataset({
         "ReferencedSOPClassUID": tables.processing["SOPClassUID"],
@@ -302,7 +302,7 @@ def make_reference_item(uids: Mapping[str, UID], tables: DicomTables, purpose: s
 
 
 def make_code_item(name: str, tables: DicomTables) -> Dataset:
-    """Make the item of a code sequence from a code of `data/dicom.toml`.
+    """Create a code sequence item from a code in `data/dicom.toml`.
 
     Parameters
     ----------
@@ -314,21 +314,21 @@ def make_code_item(name: str, tables: DicomTables) -> Dataset:
     Returns
     -------
     pydicom.dataset.Dataset
-        Item of a code sequence.
+        Item for a DICOM code sequence.
     """
     scheme, value, meaning = tables.codes[name]
     return make_dataset({"CodeValue": value, "CodingSchemeDesignator": scheme, "CodeMeaning": meaning})
 
 
 def _make_anatomy_attributes(subjects: tuple[Knee | None, ...], protocol: Protocol, tables: DicomTables) -> Dataset:
-    """Make the attributes for side, anatomic region and view; without a knee the side is unknown ("U")."""
+    """Create the attributes for side, anatomic region and view. The side is "U" for a scene without a knee."""
     knees = [knee for knee in subjects if knee is not None]
     if not knees:
         return make_dataset({"ImageLaterality": "U", "AnatomicRegionSequence": []})
     item = make_dataset(tables.knee)
     item.ImageLaterality = "B" if len(knees) > 1 else {"right": "R", "left": "L"}[knees[0].side]
     item.AnatomicRegionSequence = [make_code_item("knee", tables)]
-    # DICOM defines a view position for AP and PA only, and a view code for every projection.
+    # DICOM defines view positions only for AP and PA projections, but view codes for all projections.
     if protocol.projection in ("AP", "PA"):
         item.ViewPosition = protocol.projection
     else:
@@ -338,10 +338,10 @@ def _make_anatomy_attributes(subjects: tuple[Knee | None, ...], protocol: Protoc
 
 
 def _patient_orientation(side: str, projection: str) -> list[str]:
-    """Return the directions of columns and rows in the patient: row direction first, then column direction.
+    """Return the DICOM patient orientation: the directions of rows and of columns in the patient.
 
-    Rows of a lateral image run posteriorly or anteriorly, and columns run to the feet. Rows of an axial image run to
-    the left, and columns run posteriorly.
+    In a lateral image, rows run posteriorly (right knee) or anteriorly (left knee), and columns run to the feet. In an
+    axial image, rows run to the left and columns run posteriorly.
     """
     if projection == "axial":
         return ["L", "P"]
@@ -349,7 +349,7 @@ def _patient_orientation(side: str, projection: str) -> list[str]:
 
 
 def _make_technique_attributes(protocol: Protocol, detector: Detector, tables: DicomTables) -> Dataset:
-    """Make the attributes for tube, exposure and detector."""
+    """Create the attributes for X-ray tube, exposure and detector."""
     item = make_dataset({
         "ProtocolName": format_protocol_name(protocol),
         "FocalSpots": _make_decimal_string(protocol.focal_spot_mm),
@@ -358,7 +358,7 @@ def _make_technique_attributes(protocol: Protocol, detector: Detector, tables: D
     })  # fmt: skip
     if protocol.mas > 0:
         item.ExposureInuAs = round(1000 * protocol.mas)
-        if float(protocol.mas).is_integer():  # Exposure is an integer; a rounded value would contradict ExposureInuAs.
+        if float(protocol.mas).is_integer():  # A rounded integer Exposure would contradict ExposureInuAs.
             item.Exposure = int(protocol.mas)
     if protocol.mono_kev is None:
         item.update(make_dataset(tables.tube))
@@ -368,20 +368,21 @@ def _make_technique_attributes(protocol: Protocol, detector: Detector, tables: D
 
 
 def _describe_beam(protocol: Protocol) -> str:
-    """Describe the beam angle and the energy of a monoenergetic beam, for which DICOM has no attributes."""
+    """Describe beam angle and monoenergetic beam energy as text, because DICOM has no attributes for these values."""
     angle, kev = protocol.beam_angle_deg, protocol.mono_kev
     tilt = f" Beam {abs(angle):g} deg {'caudad' if angle > 0 else 'cephalad'}." if angle else ""
     return tilt if kev is None else f"{tilt} Beam of one energy, {kev:g} keV."
 
 
 def _make_geometry_attributes(protocol: Protocol) -> Dataset:
-    """Make the attributes for distances along the central ray, magnification, and pixel spacing in both planes.
+    """Create the attributes for distances, magnification, and pixel spacing on the detector and in the joint plane.
 
-    The ratio of the distances is the magnification.
+    The distances are along the central ray, and the ratio of the distances is the magnification.
     """
     view = resolve_view(protocol)
     enlarged = magnification(view)
-    field_mm = [round(n * protocol.pixel_mm) for n in (protocol.rows, protocol.cols)]  # DICOM requires integers.
+    # DICOM requires integer values for the dimensions of the field of view.
+    field_mm = [round(n * protocol.pixel_mm) for n in (protocol.rows, protocol.cols)]
     item = make_dataset({
         "DistanceSourceToPatient": _make_decimal_string(protocol.sod_mm),
         "DistanceSourceToDetector": _make_decimal_string(enlarged * protocol.sod_mm),
@@ -397,7 +398,7 @@ def _make_geometry_attributes(protocol: Protocol) -> Dataset:
 
 
 def make_dataset(values: Mapping[str, Any]) -> Dataset:
-    """Make a DICOM data set from attribute values.
+    """Create a DICOM data set from attribute values.
 
     Parameters
     ----------
@@ -416,42 +417,42 @@ def make_dataset(values: Mapping[str, Any]) -> Dataset:
 
 
 def format_protocol_name(protocol: Protocol) -> str:
-    """Convert the name of a protocol to ASCII, because a DICOM long string has at most 64 bytes.
+    """Convert a protocol name to ASCII, because a DICOM long string is limited to 64 bytes.
 
     Parameters
     ----------
     protocol : Protocol
-        Protocol whose name is converted. The JSON metadata keep the exact name.
+        Protocol with the name to convert. The JSON metadata contain the original name.
 
     Returns
     -------
     str
-        Name in which question marks replace other characters.
+        Protocol name, in which question marks replace all non-ASCII characters.
     """
     return protocol.name.encode("ascii", "replace").decode()
 
 
 def _make_decimal_string(number: float) -> DSfloat:
-    """Make a DICOM decimal string, which has at most 16 characters."""
+    """Convert a number to a DICOM decimal string, which has at most 16 characters."""
     return DSfloat(float(number), auto_format=True)
 
 
 def _dump_json(table: Mapping[str, Any]) -> str:
-    """Encode a table as JSON; convert NumPy numbers to Python numbers."""
+    """Encode a mapping as JSON, and convert NumPy numbers to Python numbers."""
     return json.dumps(table, default=lambda number: number.item())
 
 
 def make_uid(*parts: str) -> UID:
-    """Derive a UID from texts, under the root 2.25 for UIDs that are made from UUIDs.
+    """Derive a DICOM UID from strings, with the root 2.25, which is reserved for UUID-based UIDs.
 
     Parameters
     ----------
     *parts : str
-        Texts that identify a DICOM object. The same texts give the same UID.
+        Strings that identify a DICOM object. Identical strings yield identical UIDs.
 
     Returns
     -------
     pydicom.uid.UID
-        UID derived from the texts.
+        UID derived from the strings.
     """
     return UID(f"2.25.{uuid5(_UID_NAMESPACE, ' '.join(parts)).int}")

@@ -1,4 +1,4 @@
-"""Read and write masks as a DICOM Segmentation: one binary segment per mask, on the pixel grid of the radiograph."""
+"""Masks as a DICOM Segmentation, with one binary segment per mask on the pixel grid of the radiograph."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -17,24 +17,25 @@ from ..metadata import hash_masks, require_hash, warn_unverified
 from . import dicom_radiograph
 from .dicom_pixels import decode_pixels
 
-# highdicom is not used: its times and UIDs differ between runs, and dciodvfy reports a missing PatientOrientation.
+# highdicom is not used, because its times and UIDs differ between runs, and because dciodvfy reports a missing
+# PatientOrientation.
 Masks = Mapping[str, NDArray[np.bool_]]
-# Function that makes a code item from the name of the code in `data/dicom.toml`.
+# Function that creates a code sequence item from the name of a code in `data/dicom.toml`.
 CodeMaker = Callable[[str], Dataset]
 _BONES = ("femur", "tibia", "fibula", "patella")
 _HASH_PREFIX = "sha256 of names, sizes and pixels: "
-# Suffixes of the mask names of osteophytes and cysts.
+# Suffixes of mask names for osteophytes and cysts.
 _OSTEOPHYTE = "_osteophyte"
 _CYST = "_cyst"
 
 
 def write_segmentation(radiograph: Radiograph, description: str, masks: Masks, path: Path) -> None:
-    """Write masks as a Segmentation that refers to the For Processing object of the radiograph.
+    """Write masks as a DICOM Segmentation that refers to the For Processing object of the radiograph.
 
     Parameters
     ----------
     radiograph : Radiograph
-        Radiograph of the masks.
+        Radiograph to which the masks belong.
     description : str
         JSON metadata of the radiograph, from which the UIDs are derived.
     masks : dict of str to (rows, cols) bool array
@@ -77,7 +78,7 @@ def write_segmentation(radiograph: Radiograph, description: str, masks: Masks, p
 
 
 def read_segmentation(path: Path) -> dict[str, NDArray[np.bool_]]:
-    """Read the masks of a Segmentation that this package wrote.
+    """Read masks from a DICOM Segmentation that PSSF wrote.
 
     Parameters
     ----------
@@ -92,13 +93,14 @@ def read_segmentation(path: Path) -> dict[str, NDArray[np.bool_]]:
     Raises
     ------
     InputError
-        Another program wrote the object, the object is not a Segmentation, or the masks differ from their hash. A
-        damaged file can raise any error.
+        The object was not written by PSSF or is not a Segmentation, or the masks do not match the recorded hash. A
+        damaged file can raise any exception.
 
     Warns
     -----
     UnverifiedNotice
-        An earlier version wrote the file without a hash, and an archive has replaced the UIDs.
+        An earlier version wrote the file without a hash, and an archive has replaced the UID that would verify the
+        masks.
     """
     item = dicom_radiograph.read_own_dataset(path, "segmentation")
     shape = (int(item.NumberOfFrames), item.Rows, item.Columns)
@@ -108,7 +110,7 @@ def read_segmentation(path: Path) -> dict[str, NDArray[np.bool_]]:
     if remark.startswith(_HASH_PREFIX):
         require_hash(path, hash_masks(masks), remark.removeprefix(_HASH_PREFIX), "masks")
     elif uid.startswith("2.25."):
-        # Earlier versions derived the UID from the masks, so the UID verifies them.
+        # Earlier versions derived the UID from the masks, so that the UID verifies the masks.
         require_hash(
             path,
             dicom_radiograph.make_uid(item.SeriesInstanceUID, _hash_content(masks, _pack_bits(masks))),
@@ -121,20 +123,20 @@ def read_segmentation(path: Path) -> dict[str, NDArray[np.bool_]]:
 
 
 def _pack_bits(masks: Masks) -> NDArray[np.uint8]:
-    """Pack masks (rows, cols) into bytes.
+    """Pack masks (rows, cols) into bytes with one bit per pixel.
 
-    Frames follow each other without padding. The first pixel is the lowest bit of its byte (PS3.5, 8.1.1).
+    There is no padding between frames. The first pixel is the least significant bit of the first byte (PS3.5, 8.1.1).
     """
     return np.packbits(np.concatenate([np.ravel(mask) for mask in masks.values()]).astype(np.bool_), bitorder="little")
 
 
 def _hash_content(masks: Masks, bits: NDArray[np.uint8]) -> str:
-    """Compute the SHA-256 of mask names and packed bits, from which earlier versions derived the UID."""
+    """Compute the SHA-256 hash of mask names and packed bits, from which earlier versions derived the UID."""
     return hashlib.sha256(" ".join(masks).encode() + bits.tobytes()).hexdigest()
 
 
 def _make_segment_item(number: int, name: str, side: str | None, version: str, code: CodeMaker) -> Dataset:
-    """Make the item of a segment; the mask name determines its codes, such as bone, osteophyte or cyst.
+    """Create the DICOM item of a segment, whose mask name determines codes such as bone, osteophyte or cyst.
 
     If a radiograph shows two knees, the mask names begin with the side.
     """
@@ -164,9 +166,9 @@ def _make_segment_item(number: int, name: str, side: str | None, version: str, c
 
 
 def _make_frame_item(number: int, source: Dataset, code: CodeMaker) -> Dataset:
-    """Make the functional groups of one frame, which has the mask of one segment."""
+    """Create the functional groups of a frame, which contains the mask of one segment."""
     derived = {"DerivationCodeSequence": [code("segmentation")], "SourceImageSequence": [source]}
-    # The source image is repeated in every frame, because highdicom reads it from the frames only.
+    # The source image is repeated in every frame, because highdicom reads the source image only from the frames.
     return dicom_radiograph.make_dataset({
         "DerivationImageSequence": [dicom_radiograph.make_dataset(derived)],
         "FrameContentSequence": [dicom_radiograph.make_dataset({"DimensionIndexValues": [number]})],
@@ -175,7 +177,7 @@ def _make_frame_item(number: int, source: Dataset, code: CodeMaker) -> Dataset:
 
 
 def _make_dimension_attributes(uid: str) -> Dataset:
-    """Make the dimension attributes; the segment number is the only dimension of the frames."""
+    """Create the dimension attributes, with the segment number as the only dimension of the frames."""
     index = {
         "DimensionOrganizationUID": uid,
         "DimensionIndexPointer": Tag("ReferencedSegmentNumber"),

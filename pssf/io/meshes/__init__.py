@@ -1,1 +1,1 @@
-"""Read meshes of any program, read and export scenes, and write a 3D viewer page."""
+"""Read meshes and scenes, export scenes as mesh files, and write a 3D viewer page."""

@@ -19,16 +19,16 @@ from ...geometry.scene import MeshNotice, Scene, Surface
 from .mesh_faults import require_complete_mesh_file
 
 SUFFIXES = (".glb", ".3mf")
-# XML namespace of the metadata of this package; 3MF requires a namespace.
+# XML namespace of the metadata that this package writes; 3MF requires a namespace for custom metadata.
 NAMESPACE = "https://pypi.org/project/pssf"
 _CORE_NAMESPACE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
-_ALLOWED = "a file of export_meshes, or a TOML file that names meshes and their materials"
-# Metadata of a scene, and a list of its surfaces with the metadata and mesh of each.
+_ALLOWED = "a GLB or 3MF file from export_meshes, or a TOML file that names meshes and their materials"
+# Scene metadata, and a list of (metadata, mesh) pairs, one pair per surface.
 _SceneParts = tuple[dict[str, Any], list[tuple[dict[str, Any], Mesh]]]
 
 
 def describe_surface(surface: Surface) -> dict[str, Any]:
-    """Return the metadata of a surface for a mesh file: name, materials and types of varying densities.
+    """Return the metadata that a mesh file stores for a surface: name, materials and unit.
 
     Parameters
     ----------
@@ -38,8 +38,8 @@ def describe_surface(surface: Surface) -> dict[str, Any]:
     Returns
     -------
     dict of str to object
-        JSON-ready entries name, inside, outside and unit. A surface with varying densities also has the entry
-        densities with their types. No file contains the values of varying densities.
+        JSON-compatible entries name, inside, outside and unit. If the density within a material varies, the entry
+        densities lists the class names of the density models. The density values are not exported.
     """
     densities = (surface.inside_density, surface.outside_density)
     varying = [type(density).__name__ for density in densities if density is not None]
@@ -65,30 +65,31 @@ def read_exported_scene(path: Path) -> Scene:
     Raises
     ------
     InputError
-        The file cannot be read, is incomplete, or does not name the materials of its surfaces.
+        The file cannot be read, is incomplete, or does not specify the materials of its surfaces.
 
     Warns
     -----
     MeshNotice
-        A surface of the exported scene had varying densities, which the file does not contain.
+        A material of the exported scene had a varying density, which the file does not contain.
     """
     content = read_bytes(path, allowed=_ALLOWED)
     require_complete_mesh_file(content, path)
     try:
         about, parts = _read_glb(content) if path.suffix.lower() == ".glb" else _read_3mf(content)
-    except Exception as error:  # A damaged file can fail anywhere in its readers.
+    except Exception as error:  # The GLB and 3MF readers raise many kinds of errors for a damaged file.
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise InputError(f"file {path} must be a complete {path.suffix[1:].upper()}, got {reason}") from None
     named = [(known, mesh) for known, mesh in parts if {"inside", "outside"} <= set(known)]
     if not named or len(named) < len(parts):
         raise InputError(
-            f"file {path} must name materials of its {len(parts)} meshes, got {len(named)}: use {_ALLOWED}"
+            f"file {path} must specify the materials of all {len(parts)} meshes, got materials of {len(named)}: "
+            f"use {_ALLOWED}"
         )
     lost = [str(known.get("name", "surface")) for known, _ in named if known.get("densities")]
     if lost:
         warnings.warn(
-            f"file {path} does not contain the varying densities within {', '.join(lost)}; densities become uniform; "
-            "build the knee again for its trabecular bone",
+            f"file {path} does not contain the varying densities within {', '.join(lost)}; each material "
+            "gets a uniform density; build the scene from the knee parameters to keep the trabecular structure",
             MeshNotice,
             stacklevel=3,
         )

@@ -29,10 +29,10 @@ from .mesh_export import material_colour, simplify_scene, unique_names
 TEMPLATE = Path(__file__).with_name("viewer.html")
 # Largest number of rows or columns of the displayed radiograph.
 MAX_SIDE_PX = 1024
-# Angle between a face normal and a vertex normal above which a mesh edge is drawn sharp, in degrees.
+# Angle between a face normal and a vertex normal above which a mesh edge is rendered sharp, in degrees.
 _CREASE_DEG = 40.0
-_BEFORE_MM = 40.0  # distance between the limb and the start of the drawn beam, in the direction of the source
-_PLATE_MM = 6.0  # thickness of the drawn detector
+_BEFORE_MM = 40.0  # distance between the limb and the start of the displayed beam, towards the source
+_PLATE_MM = 6.0  # thickness of the displayed detector
 Triples = NDArray[np.floating]
 
 
@@ -52,7 +52,7 @@ def write_viewer(
     title : str
         Title of the page.
     tolerance_mm : float
-        Largest distance, 0 to 10 mm, by which a surface may move to save triangles; 0 keeps every triangle.
+        Largest surface displacement that mesh simplification may cause, 0 to 10 mm; 0 keeps every triangle.
 
     Returns
     -------
@@ -62,7 +62,7 @@ def write_viewer(
     Raises
     ------
     InputError
-        A mesh bounds no solid, the tolerance is out of range, or the file cannot be written.
+        A mesh is not a closed solid, the tolerance is out of range, or the file cannot be written.
     """
     content = {"radiograph": _encode_radiograph(radiograph), "parameters": _format_parameters(radiograph)}
     page = _fill_template(_encode_solids(scene, tolerance_mm) | content, title, _format_facts(radiograph))
@@ -80,7 +80,7 @@ def build_solids_page(scene: Scene, view: View, *, tolerance_mm: float = 0.05) -
     view : View
         Projection whose beam and detector are shown.
     tolerance_mm : float
-        Largest distance, 0 to 10 mm, by which a surface may move to save triangles; 0 keeps every triangle.
+        Largest surface displacement that mesh simplification may cause, 0 to 10 mm; 0 keeps every triangle.
 
     Returns
     -------
@@ -90,7 +90,7 @@ def build_solids_page(scene: Scene, view: View, *, tolerance_mm: float = 0.05) -
     Raises
     ------
     InputError
-        A mesh bounds no solid, or the tolerance is out of range.
+        A mesh is not a closed solid, or the tolerance is out of range.
     """
     whole = Scene([*scene.surfaces, *_build_beam_and_detector(view, scene.bounds_mm)], scene.ambient, scene.size_mm)
     return _fill_template(_encode_solids(whole, tolerance_mm) | {"radiograph": None, "parameters": {}}, "Solids", "")
@@ -107,12 +107,12 @@ def _fill_template(content: dict[str, Any], title: str, facts: str) -> str:
 
 
 def _encode_solids(scene: Scene, tolerance_mm: float) -> dict[str, Any]:
-    """Encode the bounds and layers of a scene for the viewer page."""
+    """Encode the bounding box and the surface layers of a scene for the viewer page."""
     return {"bounds": scene.bounds_mm.round(3).tolist(), "layers": _encode_layers(simplify_scene(scene, tolerance_mm))}
 
 
 def _build_beam_and_detector(view: View, bounds_mm: Array) -> list[Surface]:
-    """Build surfaces of the detector, and of the beam from a short distance in front of the limb to the detector.
+    """Build surfaces for the detector and for the beam, which starts a short distance in front of the limb.
 
     `bounds_mm` (2, 3) is the bounding box of the limb.
     """
@@ -127,7 +127,7 @@ def _build_beam_and_detector(view: View, bounds_mm: Array) -> list[Surface]:
 
 
 def split_creases(mesh: trimesh.Trimesh) -> tuple[Triples, Triples, NDArray[np.int64]]:
-    """Compute vertices and normals for drawing: smooth within flat regions, and duplicated at creases.
+    """Compute vertices and normals for rendering; duplicate vertices at creases, so that shading is smooth elsewhere.
 
     Parameters
     ----------
@@ -141,7 +141,7 @@ def split_creases(mesh: trimesh.Trimesh) -> tuple[Triples, Triples, NDArray[np.i
     normals : (n, 3) array
         Unit normals in steps of 1/127, dimensionless.
     faces : (m, 3) int array
-        Vertex numbers of the triangles.
+        Vertex indices of the triangles.
     """
     smooth, flat = mesh.vertex_normals[mesh.faces], mesh.face_normals[:, None, :]
     bends = (smooth * flat).sum(axis=2, keepdims=True) < np.cos(np.deg2rad(_CREASE_DEG))
@@ -153,8 +153,8 @@ def split_creases(mesh: trimesh.Trimesh) -> tuple[Triples, Triples, NDArray[np.i
 
 
 def _encode_layers(scene: Scene) -> list[dict[str, Any]]:
-    """Encode every surface with its colour, group and label, and mesh; the largest volume comes first."""
-    # Names that differ only by a number, such as "screw_1" and "screw_2", share one row of the list of layers.
+    """Encode the colour, group, label and mesh of every surface, sorted from the largest to the smallest volume."""
+    # Names that differ only by a number, such as "screw_1" and "screw_2", share one row in the layer list.
     rows = [re.sub(r"_\d+$", "", name) for name in unique_names(scene)]
     places = [_find_group_and_label(row, rows) for row in rows]
     shared = Counter((group, surface.inside) for (group, _), surface in zip(places, scene.surfaces, strict=True))
@@ -171,7 +171,7 @@ def _encode_layers(scene: Scene) -> list[dict[str, Any]]:
 
 
 def _find_group_and_label(row: str, rows: Collection[str]) -> tuple[str, str]:
-    """Return the group and the label of a surface in the list of layers.
+    """Return the group and label of a surface for the layer list of the viewer page.
 
     "femur_marrow" belongs to the group "femur" if there is a surface "femur".
     """
@@ -183,14 +183,14 @@ def _find_group_and_label(row: str, rows: Collection[str]) -> tuple[str, str]:
 
 
 def _format_name(name: str) -> str:
-    """Replace underscores in a name by spaces."""
+    """Replace underscores in a name with spaces."""
     return name.replace("_", " ")
 
 
 def _encode_mesh(surface: Surface) -> dict[str, Any]:
     """Encode a mesh as base64 text.
 
-    Vertex coordinates have 16 bits over the bounding box of the surface, normals have 8 bits, and vertex numbers have
+    Vertex coordinates have 16 bits over the bounding box of the surface, normals have 8 bits, and vertex indices have
     16 or 32 bits.
     """
     mesh = trimesh.Trimesh(surface.solid.points, surface.solid.faces, process=False)
@@ -241,7 +241,7 @@ def _encode_radiograph(radiograph: Radiograph) -> dict[str, Any]:
 
 
 def _format_parameters(radiograph: Radiograph) -> dict[str, dict[str, str]]:
-    """Format the parameters of knee and protocol as tables of text."""
+    """Format the knee and protocol parameters as tables of strings."""
     tables = {} if radiograph.knee is None else {"Knee": knee_to_dict(radiograph.knee)}
     tables["Protocol"] = protocol_to_dict(radiograph.protocol)
     return {title: {name: _format_value(value) for name, value in table.items()} for title, table in tables.items()}

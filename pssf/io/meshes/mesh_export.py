@@ -37,13 +37,13 @@ _COLOURS = {
     "muscle": (170, 60, 55, 60),
     "adipose": (240, 214, 120, 40),
     "skin": (224, 172, 140, 40),
-    # Colours of the beam and of the detector, which the viewer page shows beside the solids.
+    # Colours of the beam and the detector on the viewer page.
     "beam": (86, 180, 233, 14),
     "detector": (70, 84, 110, 170),
 }
-_MILLIMETRES = "millimetres"  # name of the root node of a GLB
+_MILLIMETRES = "millimetres"  # name of the GLB root node, which scales millimetres to metres
 _M_PER_MM = 0.001  # metres per millimetre
-# Red, green, blue and opacity, 0 to 255, of materials without a colour of their own.
+# Red, green, blue and opacity, 0 to 255, of materials that are not in `_COLOURS`.
 _OTHER_COLOUR = (150, 150, 160, 120)
 _CONTENT_TYPES = """<?xml version="1.0" encoding="UTF-8"?>
 <Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">
@@ -80,11 +80,11 @@ def export_meshes(
     directory : str or Path
         Folder into which the files are written; created if it does not exist.
     formats : tuple of str
-        Any of "stl", "ply", "glb" and "3mf".
+        One or more of "stl", "ply", "glb" and "3mf".
     stem : str
-        Start of the file names, without a folder.
+        Prefix of the file names, without a folder.
     tolerance_mm : float
-        Largest distance, 0 to 10 mm, by which a surface may move to save triangles; 0 keeps every triangle.
+        Largest surface displacement that mesh simplification may cause, 0 to 10 mm; 0 keeps every triangle.
 
     Returns
     -------
@@ -94,7 +94,7 @@ def export_meshes(
     Raises
     ------
     InputError
-        A format, stem or tolerance is not allowed, a mesh bounds no solid, or a file cannot be written.
+        A format, stem or tolerance is not allowed, a mesh is not a closed solid, or a file cannot be written.
 
     See Also
     --------
@@ -133,9 +133,9 @@ def require_export_options(formats: tuple[str, ...], tolerance_mm: float) -> Non
     Parameters
     ----------
     formats : tuple of str
-        Any of "stl", "ply", "glb" and "3mf".
+        One or more of "stl", "ply", "glb" and "3mf".
     tolerance_mm : float
-        Tolerance, 0 to 10 mm.
+        Simplification tolerance, 0 to 10 mm.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def require_export_options(formats: tuple[str, ...], tolerance_mm: float) -> Non
         A format is not supported, or the tolerance is out of range.
     """
     if isinstance(formats, str) or not isinstance(formats, Collection):
-        raise InputError(f"formats must be a tuple of any of {', '.join(FORMATS)}, got {formats!r}")
+        raise InputError(f"formats must be a tuple of one or more of {', '.join(FORMATS)}, got {formats!r}")
     for name in formats:
         require_choice("format", name, FORMATS)
     require_in_range("tolerance_mm", tolerance_mm, 0, 10, "mm")
@@ -160,20 +160,20 @@ def material_colour(material: str) -> Colour:
     Returns
     -------
     tuple of int
-        Red, green, blue and opacity, 0 to 255; grey for a material without a colour of its own.
+        Red, green, blue and opacity, 0 to 255; grey for a material without a defined colour.
     """
     return _COLOURS.get(material, _OTHER_COLOUR)
 
 
 def simplify_scene(scene: Scene, tolerance_mm: float) -> Scene:
-    """Merge triangles of all surfaces while no surface moves by more than a tolerance.
+    """Simplify the triangle meshes of a scene without moving any surface by more than a tolerance.
 
     Parameters
     ----------
     scene : Scene
         Scene to simplify.
     tolerance_mm : float
-        Tolerance, 0 to 10 mm; 0 keeps every triangle.
+        Largest allowed surface displacement, 0 to 10 mm; 0 keeps every triangle.
 
     Returns
     -------
@@ -183,7 +183,7 @@ def simplify_scene(scene: Scene, tolerance_mm: float) -> Scene:
     Raises
     ------
     InputError
-        A mesh bounds no solid, or the tolerance is out of range.
+        A mesh is not a closed solid, or the tolerance is out of range.
     """
     require_in_range("tolerance_mm", tolerance_mm, 0, 10, "mm")
     for surface in scene.surfaces:
@@ -242,8 +242,8 @@ def encode_3mf(scene: Scene) -> bytes:
     """Encode a scene as 3MF (core specification 1.3), in mm, with one named and coloured object per surface.
 
     One assembly contains the objects, sorted from the largest to the smallest volume. In 3MF the last of two
-    overlapping components determines the material, so solids are nested as in the ray caster. The same scene gives the
-    same bytes.
+    overlapping components determines the material, so solids are nested as in the ray caster. The output bytes are
+    identical for the same scene.
 
     Parameters
     ----------
@@ -270,7 +270,7 @@ def encode_3mf(scene: Scene) -> bytes:
 
 
 def _encode_files(scene: Scene, kind: str) -> Iterator[tuple[str, bytes]]:
-    """Yield the end of the name and the content of each file of a format."""
+    """Yield the file-name suffix and the content of every file that a format requires."""
     if kind == "glb":
         yield ".glb", encode_glb(scene)
     elif kind == "3mf":
@@ -282,7 +282,7 @@ def _encode_files(scene: Scene, kind: str) -> Iterator[tuple[str, bytes]]:
 
 
 def _make_mesh(surface: Surface) -> trimesh.Trimesh:
-    """Make the mesh of a surface with the repaired solid that the ray caster uses."""
+    """Make a trimesh from the repaired solid of a surface, which the ray caster also uses."""
     return trimesh.Trimesh(surface.solid.points, surface.solid.faces, process=False)
 
 
@@ -314,7 +314,7 @@ def _encode_ply(surface: Surface) -> bytes:
 
 
 def _material_rgba(surface: Surface) -> NDArray[np.uint8]:
-    """Return the colour of the material inside a surface as (4,) uint8."""
+    """Return the RGBA colour of the material inside a surface as a (4,) uint8 array."""
     return np.array(material_colour(surface.inside), np.uint8)
 
 
@@ -375,7 +375,7 @@ def _format_mesh_xml(surface: Surface) -> str:
 
 
 def _simplify_surface(surface: Surface, tolerance_mm: float) -> Surface:
-    """Merge triangles of a surface while it moves by at most the tolerance."""
+    """Simplify the mesh of a surface without moving the surface by more than the tolerance."""
     # The vertices are copied, because manifold3d rejects read-only arrays.
     mesh = manifold3d.Mesh64(np.array(surface.solid.points), surface.solid.faces.astype(np.uint64))
     reduced = manifold3d.Manifold(mesh).simplify(tolerance_mm).to_mesh64()
@@ -384,7 +384,7 @@ def _simplify_surface(surface: Surface, tolerance_mm: float) -> Surface:
 
 
 def _make_coloured_mesh(surface: Surface) -> trimesh.Trimesh:
-    """Make the mesh of a surface with the material and metadata of a GLB."""
+    """Make the mesh of a surface with its GLB material and metadata."""
     material = PBRMaterial(
         name=surface.inside,
         baseColorFactor=_material_rgba(surface),

@@ -1,4 +1,4 @@
-"""Read one mesh from an STL, PLY, OBJ or GLB file of any program."""
+"""Read one mesh from an STL, PLY, OBJ or GLB file."""
 
 import io
 from pathlib import Path
@@ -20,7 +20,7 @@ _MM_PER_M = 1000.0
 def read_mesh(path: str | Path) -> trimesh.Trimesh:
     """Read one mesh from an STL, PLY or OBJ in mm, or from a GLB in metres.
 
-    Equal vertices are merged, because an STL repeats them in every facet.
+    Equal vertices are merged, because an STL repeats a shared vertex in every facet.
 
     Parameters
     ----------
@@ -77,16 +77,16 @@ def _load_with_trimesh(content: bytes, path: Path) -> Any:
     """Read a mesh with trimesh; convert its errors to an InputError."""
     kind = path.suffix.lower()
     if kind == ".3mf" or (kind == ".glb" and count_described_meshes(content) > 1):
-        raise InputError(f"file {path} must have one mesh, got a {kind[1:].upper()} scene: use pssf.read_scene")
+        raise InputError(f"file {path} must have one mesh, got a {kind[1:].upper()} scene: use pssf.read_scene instead")
     try:
         if kind in (".obj", ".ply") and not _is_unicode(content):
-            # Older programs write names and comments in other encodings. The encoding does not affect numbers.
+            # Older programs write names and comments in encodings other than UTF-8, which do not affect numbers.
             text = content.decode("latin-1").encode() if kind == ".obj" else _convert_header_to_ascii(content)
             return trimesh.load_mesh(io.BytesIO(text), file_type=kind[1:], process=True)
         return trimesh.load_mesh(path, process=True)
     except OSError as error:
         raise InputError(f"file {path} must be a readable mesh file, got {error.strerror or error}") from None
-    except ImportError:  # trimesh needs further libraries for other formats.
+    except ImportError:  # trimesh raises ImportError for formats that require additional libraries.
         raise InputError(f"file {path} must be {_FORMATS}, got {kind or 'no suffix'}") from None
     except Exception as error:  # Mesh readers raise many kinds of errors for a damaged file.
         reason = format_one_line(f"{type(error).__name__}: {error}")[:200]

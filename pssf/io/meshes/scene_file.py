@@ -1,4 +1,4 @@
-"""Read scenes of user meshes that a TOML file lists."""
+"""Read scenes from TOML files that list user meshes and their materials."""
 
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from .mesh_reader import read_mesh
 
 
 class _SurfaceEntry(Record, frozen=True):
-    """Entry of one mesh in a scene file. An entry without a name gets the stem of the mesh file as name."""
+    """Entry of one mesh in a scene file. The default name is the stem of the mesh file."""
 
     file: str
     inside: str
@@ -37,7 +37,8 @@ def read_scene(path: str | Path) -> Scene:
     Parameters
     ----------
     path : str or Path
-        File to read. Paths of mesh files are relative to the TOML file. Meshes are in mm, except GLB in metres.
+        File to read. Paths of mesh files are relative to the TOML file. Mesh coordinates are in mm; GLB coordinates are
+        in metres.
 
     Returns
     -------
@@ -52,7 +53,7 @@ def read_scene(path: str | Path) -> Scene:
     Warns
     -----
     MeshNotice
-        A surface of the exported scene had varying densities, which a GLB or 3MF does not contain.
+        A material of the exported scene had a varying density, which a GLB or 3MF does not contain.
 
     See Also
     --------

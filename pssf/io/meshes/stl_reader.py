@@ -1,7 +1,7 @@
 """Read binary and ASCII STL files, and check that no facet is missing.
 
 Some readers split an ASCII file at "endsolid" and lose a body that has no "endsolid". This module compares the
-number of facets with the header of a binary file, or with the number of words "facet" in an ASCII file.
+number of facets with the header of a binary file, or with the number of "facet" keywords in an ASCII file.
 """
 
 import re
@@ -16,17 +16,17 @@ from ...core.checks import Array, InputError
 _HEADER = 84  # bytes before the first facet of a binary STL
 _FACET = 50  # bytes per facet of a binary STL
 _FACET_RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-# Lines that begin and end a body. The name of a body may contain any word.
+# Patterns of the lines that begin and end a body; the name of the body may contain any word.
 _BEGIN = re.compile(rb"^[ \t]*solid\b[^\n]*$", re.MULTILINE | re.IGNORECASE)
 _END = re.compile(rb"^[ \t]*end[ \t]*solid\b[^\n]*$", re.MULTILINE | re.IGNORECASE)
 _VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
-_REMEDY = "export or copy it again"
+_REMEDY = "export or copy the file again"
 
 
 def read_stl(content: bytes, path: Path) -> trimesh.Trimesh:
     """Read an STL, and merge equal vertices of each body.
 
-    The format repeats a vertex in every facet.
+    STL repeats a shared vertex in every facet.
 
     Parameters
     ----------
@@ -53,14 +53,14 @@ def read_stl(content: bytes, path: Path) -> trimesh.Trimesh:
 
 
 def _read_binary_stl(content: bytes, count: int, path: Path) -> trimesh.Trimesh:
-    """Read a binary STL. Only whitespace and zero bytes may follow the facets, such as an added line end."""
+    """Read a binary STL; only whitespace and zero bytes may follow the facets."""
     if len(content) < _HEADER:
         raise InputError(f"file {path} must be an STL, got {len(content)} bytes without a header: {_REMEDY}")
     rest = content[_HEADER + _FACET * count :]
     if len(content) < _HEADER + _FACET * count or rest.strip(b"\0 \t\r\n"):
         held = (len(content) - _HEADER) / _FACET
         raise InputError(
-            f"file {path} must have the {count} facets that its header specifies, got bytes for {held:.1f}: {_REMEDY}"
+            f"file {path} must have the {count} facets that its header specifies, got {held:.1f}: {_REMEDY}"
         )
     return _weld_facets(np.frombuffer(content, _FACET_RECORD, count, _HEADER)["corners"].astype(np.float64))
 
@@ -87,7 +87,7 @@ def _read_body(text: bytes, label: str) -> trimesh.Trimesh:
     corners = _VERTEX.findall(text)
     if begun != ended or 3 * begun != len(corners):
         raise InputError(
-            f"{label} must have complete facets of 3 vertices, got {begun} facet, {ended} endfacet, "
+            f"{label} must have complete facets of 3 vertices, got {begun} facet and {ended} endfacet keywords and "
             f"{len(corners)} vertices: {_REMEDY}"
         )
     try:

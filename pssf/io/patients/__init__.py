@@ -1,1 +1,1 @@
-"""Patient radiographs: lists of files, images as displayed, and stored pixel values."""
+"""Read patient radiographs: file lists, images processed for display, and stored pixel values."""

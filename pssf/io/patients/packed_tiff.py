@@ -1,4 +1,4 @@
-"""Read TIFF radiographs that Pillow reads wrongly: 9 to 15 bits, big-endian white-is-zero, or rotated images."""
+"""Read TIFF radiographs that Pillow decodes incorrectly: 9 to 15 bits, big-endian white-is-zero, or rotated images."""
 
 import zlib
 from pathlib import Path
@@ -10,18 +10,18 @@ from numpy.typing import NDArray
 
 from ...core.checks import Array, InputError
 
-# Values of PhotometricInterpretation (TIFF 6.0, tag 262).
+# Values of the tag PhotometricInterpretation (TIFF 6.0, tag 262).
 _WHITE_IS_ZERO = 0
 _BLACK_IS_ZERO = 1
-# Values of Compression (TIFF 6.0, tag 259). Deflate has two values.
+# Values of the tag Compression (TIFF 6.0, tag 259); Deflate has two values.
 _NONE = 1
 _DEFLATE = (8, 32946)
-# Numbers of bits per pixel that do not fill whole bytes, and numbers that do.
+# Bits per pixel: packed values share bytes with neighbouring pixels; whole values fill one or two bytes.
 _PACKED = range(9, 16)
 _WHOLE = (8, 16)
-# Orientations (TIFF 6.0, tag 274) that exchange rows and columns.
+# Orientation values (TIFF 6.0, tag 274) that swap rows and columns.
 _TRANSPOSED_ORIENTATIONS = range(5, 9)
-# Functions that make an image upright, keyed by its orientation (TIFF 6.0, tag 274).
+# Function that rotates or mirrors an image upright, for each Orientation value (TIFF 6.0, tag 274).
 _TURN_UPRIGHT: dict[int, Any] = {
     2: lambda a: a[:, ::-1],
     3: lambda a: a[::-1, ::-1],
@@ -34,7 +34,7 @@ _TURN_UPRIGHT: dict[int, Any] = {
 
 
 def read_packed_tiff(path: Path) -> Array | None:
-    """Read the grey values of a TIFF that Pillow would not read correctly.
+    """Read the grey values of a TIFF that Pillow decodes incorrectly.
 
     Parameters
     ----------
@@ -44,8 +44,8 @@ def read_packed_tiff(path: Path) -> Array | None:
     Returns
     -------
     (rows, cols) array or None
-        Upright grey values from 0 (black) to 1 (largest value of the bit depth). None for a TIFF that Pillow reads
-        correctly, or that Pillow reports as damaged.
+        Upright grey values from 0 (black) to 1 (largest value of the bit depth). None if Pillow decodes the TIFF
+        correctly or reports it as damaged.
 
     Raises
     ------
@@ -55,18 +55,19 @@ def read_packed_tiff(path: Path) -> Array | None:
     try:
         tiff = tifffile.TiffFile(path)
     except tifffile.TiffFileError:
-        return None  # Pillow reports the error.
+        return None  # Pillow reports the damaged file later.
     with tiff:
         page: Any = tiff.pages[0]
         bits, kind = page.bitspersample, int(page.photometric)
         orientation = page.tags.valueof(274) or 1
-        # Pillow exchanges rows and columns before it reads uncompressed pixels, so the pixels get wrong positions.
+        # Pillow swaps rows and columns before it reads uncompressed pixels, which moves the pixels to wrong positions.
         sideways = orientation in _TRANSPOSED_ORIENTATIONS and page.compression == _NONE
         negative = kind == _WHITE_IS_ZERO and tiff.byteorder == ">" and bits == 16
         if page.samplesperpixel != 1 or kind not in (_WHITE_IS_ZERO, _BLACK_IS_ZERO):
             if sideways:
                 raise InputError(
-                    f"file {path}: orientation of a colour image must be 1 to 4, got {orientation}: save it upright"
+                    f"file {path}: orientation of a colour image must be 1 to 4, got {orientation}: "
+                    "save the image upright"
                 )
             return None
         if (bits not in _PACKED and not (bits in _WHOLE and (negative or sideways))) or page.sampleformat != 1:
@@ -80,7 +81,7 @@ def read_packed_tiff(path: Path) -> Array | None:
 
 
 def _unpack_strips(tiff: tifffile.TiffFile, page: Any, bits: int, path: Path) -> NDArray[np.integer[Any]]:
-    """Decode the strips of a TIFF to grey values (rows, cols), without unit.
+    """Decode the strips of a TIFF to dimensionless grey values (rows, cols).
 
     Each row begins at a byte boundary. The most significant bit of a pixel comes first.
     """
@@ -90,7 +91,7 @@ def _unpack_strips(tiff: tifffile.TiffFile, page: Any, bits: int, path: Path) ->
         how = "tiles" if page.is_tiled else f"{page.compression.name}, predictor {int(page.predictor)}"
         raise InputError(
             f"file {path} must store its pixels in strips, uncompressed or with Deflate, got {bits} bits in {how}: "
-            "save it again"
+            "save the image again"
         )
     content = bytearray()
     for offset, count in zip(page.dataoffsets, page.databytecounts, strict=True):
@@ -100,7 +101,7 @@ def _unpack_strips(tiff: tifffile.TiffFile, page: Any, bits: int, path: Path) ->
     row_bytes = -(-cols * bits // 8)
     if len(content) < rows * row_bytes:
         raise InputError(
-            f"file {path} must contain {rows * row_bytes} bytes of pixels, got {len(content)}: copy it again"
+            f"file {path} must contain {rows * row_bytes} bytes of pixel data, got {len(content)}: copy the file again"
         )
     packed = np.frombuffer(content, np.uint8, rows * row_bytes).reshape(rows, row_bytes)
     if bits in _WHOLE:

@@ -1,4 +1,4 @@
-"""Read DICOM radiographs of any manufacturer, with pixels as displayed."""
+"""Read DICOM radiographs of any manufacturer, and process their pixels for display."""
 
 from pathlib import Path
 from typing import Any
@@ -20,14 +20,14 @@ from ...data.imaging.display_table import FlatPanelProcessing, load_display_proc
 from ...detector.display_processing import render_processed
 from ..dicom.dicom_pixels import decode_pixels, find_padding, prepare_for_display
 
-# Side of the knee for each value of the DICOM attribute Laterality.
+# Knee side for each value of the DICOM attribute Laterality.
 _SIDES = {"R": "right", "L": "left"}
-# Largest relative difference between height and width of a square pixel, dimensionless.
+# Largest relative difference between the height and width of a pixel that counts as square, dimensionless.
 _SQUARE_TOLERANCE = 0.01
-# Values of PresentationIntentType (DICOM PS3.3, C.8.11.1).
+# Values of the attribute PresentationIntentType (DICOM PS3.3, C.8.11.1).
 _PRESENTATION = "FOR PRESENTATION"
 _PROCESSING = "FOR PROCESSING"
-# Largest grey value of a 16-bit detector, in DN. Linear pixels are scaled to it before the logarithm is taken.
+# Largest grey value of a 16-bit detector, in DN; linear pixels are scaled to this maximum before log conversion.
 _MAX_GREY = 2.0**16 - 1
 
 
@@ -37,12 +37,12 @@ def is_own_linear_dicom(path: Path) -> bool:
     Parameters
     ----------
     path : Path
-        File to check. For an unreadable file pydicom raises errors of its own.
+        File to check. If the file is unreadable, pydicom raises an error.
 
     Returns
     -------
     bool
-        True for a For Processing object of this package.
+        True if this package wrote the file as a For Processing object.
     """
     item = pydicom.dcmread(path, stop_before_pixels=True)
     wanted = load_dicom_tables()
@@ -53,28 +53,28 @@ def is_own_linear_dicom(path: Path) -> bool:
 def read_dicom_film(
     path: Path, allowed_mm: tuple[float, float], processing: FlatPanelProcessing | None
 ) -> dict[str, Any]:
-    """Read a DICOM radiograph as it is displayed.
+    """Read a DICOM radiograph and process its pixels for display.
 
     Parameters
     ----------
     path : Path
-        File to read. For an unreadable file pydicom raises errors of its own.
+        File to read. If the file is unreadable, pydicom raises an error.
     allowed_mm : tuple of float
-        Smallest and largest pixel size that is accepted, in mm.
+        Smallest and largest accepted pixel size, in mm.
     processing : FlatPanelProcessing or None
         Display processing of linear pixels; None uses the display preset "processed".
 
     Returns
     -------
     dict of str to object
-        Fields of `FilmImage`: pixels (rows, cols) from 0 to 1 with bone bright, pixel_mm and side. pixel_mm and
-        side are None if the file does not give them.
+        Fields of `FilmImage`: pixels (rows, cols) from 0 to 1 with bone bright, pixel_mm and side. pixel_mm and side
+        are None if the file does not specify them.
 
     Raises
     ------
     InputError
-        The file has several frames, colour, or pixels that are not square. Or the file is For Processing and does not
-        state how pixel values depend on the detector signal.
+        The image has several frames, colour or non-square pixels, or a For Processing file does not
+        state how its pixel values depend on the detector signal.
     """
     item = prepare_for_display(pydicom.dcmread(path), path)
     frames = int(item.get("NumberOfFrames", 1) or 1)
@@ -90,7 +90,7 @@ def read_dicom_film(
     else:
         stored = decode_pixels(item, path)
         shown = _apply_luts(item, stored)
-        # MONOCHROME1 and INVERSE both display the smallest value white (PS3.3, C.8.11.3.1.2 and C.11.6.1.2).
+        # MONOCHROME1 and INVERSE both display the smallest value as white (PS3.3, C.8.11.3.1.2 and C.11.6.1.2).
         inverse = kind == "MONOCHROME1" or str(item.get("PresentationLUTShape", "")) == "INVERSE"
         pixels = np.where(find_padding(item, stored), 0.0, 1.0 - shown if inverse else shown)
     side = _SIDES.get(str(item.get("ImageLaterality", "") or item.get("Laterality", "")))
@@ -104,15 +104,15 @@ def _process_linear_pixels(
 
     A VOI window is ignored, because the standard forbids it in For Processing objects. The sign of the pixel intensity
     relationship determines whether bone is bright; the photometric interpretation does not (DICOM PS3.3, C.8.11.3.1.2).
-    A rescale with a positive slope keeps the relationship. A modality LUT may change it.
+    A rescale with a positive slope preserves the relationship; a modality LUT may change it.
     """
     relationship, sign = (item.get(f"PixelIntensityRelationship{end}") for end in ("", "Sign"))
     require_choice(f"file {path}: PixelIntensityRelationship", str(relationship or ""), ("LIN", "LOG"))
     require_choice(f"file {path}: PixelIntensityRelationshipSign", str(sign or ""), ("1", "-1"))
     if "ModalityLUTSequence" in item:
         raise InputError(
-            f"file {path}: pixels {_PROCESSING} must have a rescale slope, got a modality LUT, which "
-            f"may not be {relationship}"
+            f"file {path}: pixels {_PROCESSING} must have a rescale slope, got a modality LUT: its "
+            f"output may not be {relationship}"
         )
     slope = float(item.get("RescaleSlope", 1))
     if not slope > 0:
@@ -121,15 +121,15 @@ def _process_linear_pixels(
     values = np.asarray(apply_modality_lut(stored, item), np.float64)
     padding = find_padding(item, stored)
     if padding.any() and not padding.all():
-        # Padding gets the value of the unattenuated beam, which is displayed black.
+        # Padding pixels get the value of the unattenuated beam, so that they are displayed black.
         values[padding] = values[~padding].max() if int(sign) == 1 else values[~padding].min()
     if relationship == "LOG":
         share = (values - values.min()) / max(float(np.ptp(values)), 1e-12)
         return np.asarray(1.0 - share if int(sign) == 1 else share)
     if int(sign) == -1:
         raise InputError(
-            f"file {path}: PixelIntensityRelationshipSign of linear pixels must be 1, got -1: the pixel value "
-            "without signal is unknown"
+            f"file {path}: PixelIntensityRelationshipSign of linear pixels must be 1, got -1: the pixel value at "
+            "zero signal is unknown"
         )
     if pixel_mm is None:
         raise InputError(
@@ -143,7 +143,7 @@ def _process_linear_pixels(
 
 
 def _apply_luts(item: FileDataset, stored: NDArray[Any]) -> Array:
-    """Apply modality and VOI transformations; scale the result (rows, cols) to 0 to 1 over its possible range."""
+    """Apply the modality and VOI transformations; scale the possible output range to 0 to 1; return (rows, cols)."""
     bits, signed = int(item.BitsStored), int(item.PixelRepresentation) == 1
     ends = np.array([-(2 ** (bits - 1)), 2 ** (bits - 1) - 1] if signed else [0, 2**bits - 1], np.float64)
     if "ModalityLUTSequence" in item:

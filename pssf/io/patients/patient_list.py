@@ -1,4 +1,4 @@
-"""Lists of patient radiographs: the image files of a folder, or the rows of a CSV table."""
+"""List the patient radiographs of a folder or of a CSV table."""
 
 import hashlib
 import re
@@ -15,7 +15,7 @@ from ..radiograph_files import convert_read_errors
 SIDES = ("right", "left")
 GRADES = range(5)
 COLUMNS = ("file", "grade", "subject", "side", "pixel_mm")
-# Smallest and largest pixel size that is accepted, in mm.
+# Smallest and largest accepted pixel size, in mm.
 PIXEL_MM_RANGE = (0.01, 5.0)
 _SIDE_WORDS = {
     "left": "left", "links": "left", "gauche": "left", "izquierda": "left", "izquierdo": "left", "sinistra": "left",
@@ -23,9 +23,9 @@ _SIDE_WORDS = {
     "destra": "right",
 }  # fmt: skip
 _SIDE_LETTERS = {"l": "left", "r": "right"}
-# The name of a side as a separate word, or after a digit: left_12, 12-right-knee, 12left.
+# Left or right as a separate word or after a digit, for example left_12, 12-right-knee, 12left.
 _SIDE_WORD_PATTERN = re.compile(rf"(?:(?<=\d)|(?<![^\W_]))(?P<side>{'|'.join(_SIDE_WORDS)})(?![^\W_])", re.IGNORECASE)
-# L or R at the end of a name, after a digit or as a separate word: 12L, 12_R, p12a-l.
+# L or R at the end of a file name, after a digit or as a separate word, for example 12L, 12_R, p12a-l.
 _SIDE_LETTER_PATTERN = re.compile(r"(?<=\d)(?P<side>[LR])$|(?<=[-_ .])(?P<lone>[LRlr])$")
 _SEPARATORS = "-_ ."
 
@@ -37,28 +37,28 @@ class Film:
     Parameters
     ----------
     file : str
-        Image file, with a path relative to the folder that was listed.
+        Path of the image file, relative to the listed folder.
     grade : int or None
-        Kellgren-Lawrence grade, 0 to 4; None if it is not known.
+        Kellgren-Lawrence grade, 0 to 4; None if unknown.
     subject : str
-        Name of the subject. Radiographs of one subject stay together when data are split.
+        Subject identifier. All radiographs of one subject go into the same subset when data are split.
     side : {"right", "left"} or None
-        Side of the knee; None if it is not known.
+        Knee side; None if unknown.
     pixel_mm : float or None
-        Pixel size at the detector, 0.01 to 5 mm; None if it is not known.
+        Pixel size at the detector, 0.01 to 5 mm; None if unknown.
     sha256 : str
         SHA-256 of the file, in hexadecimal digits.
     processing : FlatPanelProcessing or None
-        Display processing of linear pixels; None uses the display preset "processed". Images
-        that are already processed for display stay unchanged.
+        Display processing of linear pixels; None uses the display preset "processed". Images that are already processed
+        for display are not changed.
     resampled_pixel_mm : float or None
-        Pixel size to which the image is downsampled before a comparison, 0.01 to 5 mm for a knee of standard size.
-        None keeps the pixel size of the image.
+        Pixel size of the image after downsampling for a comparison, 0.01 to 5 mm for a knee of standard size. None
+        keeps the original pixel size.
 
     Raises
     ------
     InputError
-        A value is out of its range.
+        A value is out of range.
     """
 
     file: str
@@ -86,50 +86,51 @@ class Film:
 
 
 def list_films(folder: str | Path) -> tuple[Film, ...]:
-    """List the patient radiographs of a folder in the order of their names, or the rows of its CSV table.
+    """List the patient radiographs of a folder in alphabetical order, or of a CSV table in row order.
 
-    Hidden files, resource forks (._x.png), lock files (~$x.csv) and files that are not images are left out.
+    Hidden files, resource forks (._x.png), lock files (~$x.csv) and files that are not images are ignored.
 
     Parameters
     ----------
     folder : str or Path
-        Folder with subfolders 0 to 4, one per grade, and radiographs without a grade beside them; or a folder with one
-        CSV table; or the table itself. Its columns are file, grade, subject, side and pixel_mm. All columns but
-        file may be missing or empty.
+        One of three sources: a folder with subfolders 0 to 4, one per grade, which may also contain ungraded
+        radiographs; a folder with one CSV table; or the path of a CSV table. The table columns are file, grade,
+        subject, side and pixel_mm; only file is required.
 
     Returns
     -------
     tuple of Film
-        Radiographs. Without a table, subject and side are read from the file name; see `parse_subject_and_side`.
+        Listed radiographs. Without a table, subject and side are parsed from the file name; see
+        `parse_subject_and_side`.
 
     Raises
     ------
     InputError
-        There are no radiographs, a column or value of the table is not allowed, a column or file is repeated, a file
-        is missing, or copies of one file have different grades, subjects or sides.
+        No radiograph or a listed file is not found, a table column or value is not allowed, a column or file is
+        repeated, or copies of one file differ in grade, subject or side.
     """
     folder = Path(folder)
     is_table = folder.suffix.lower() == ".csv"
     tables = [folder] if is_table else [path for path in list_files(folder) if path.suffix.lower() == ".csv"]
     if len(tables) > 1:
         names = ", ".join(path.name for path in tables)
-        raise InputError(f"folder {folder} must contain one CSV file, or subfolders 0 to 4, got the tables {names}")
+        raise InputError(f"folder {folder} must contain one CSV file or subfolders 0 to 4, got CSV files {names}")
     films = tuple(_list_table_films(tables[0])) if tables else tuple(_list_folder_films(folder))
     if not films:
         raise InputError(
-            f"folder {folder} contains no radiographs: it must contain subfolders named 0 to 4 (the grades) with"
-            f" {', '.join(SUFFIXES)} files, or a CSV file that lists the radiographs"
+            f"folder {folder} contains no radiographs: the folder must contain subfolders named 0 to 4 (the grades) "
+            f"with {', '.join(SUFFIXES)} files, or a CSV file that lists the radiographs"
         )
     _require_consistent_copies(films, folder)
     return films
 
 
 def parse_subject_and_side(stem: str) -> tuple[str, str | None]:
-    """Read subject and side from the name of a radiograph without its suffix.
+    """Parse the subject and the knee side from the file name of a radiograph.
 
-    The side is the word left or right (links, rechts, gauche, droite and others), alone or after a digit. L or R at the
-    end of the name is a side too, if it follows a digit, or is a separate word in a name with a digit. The rest of the
-    name is the subject: 9003175L and 9003175_R belong to one subject, as do P1_left and P1_right.
+    The side is the word left or right (or links, rechts, gauche, droite and others), as a separate word or after a
+    digit. A final L or R also denotes the side if it follows a digit or is a separate word in a name with a digit. The
+    remaining text is the subject: 9003175L and 9003175_R belong to one subject, and so do P1_left and P1_right.
 
     Parameters
     ----------
@@ -139,9 +140,9 @@ def parse_subject_and_side(stem: str) -> tuple[str, str | None]:
     Returns
     -------
     subject : str
-        Name of the subject; the whole file name if it gives no side, or both sides.
+        Subject identifier; the entire `stem` if it contains no side or both sides.
     side : {"right", "left"} or None
-        Side of the knee; None if the file name gives no side, or both sides.
+        Knee side; None if `stem` contains no side or both sides.
 
     Examples
     --------
@@ -158,19 +159,19 @@ def parse_subject_and_side(stem: str) -> tuple[str, str | None]:
 
 
 def require_film(path: Path, label: str = "") -> None:
-    """Require that a path is an image file, by its suffix or its first bytes.
+    """Require that a file has the suffix or the first bytes of an image file.
 
     Parameters
     ----------
     path : Path
         File to check.
     label : str
-        Name of the file in error messages; empty shows the path.
+        File description for error messages; if empty, messages show the path.
 
     Raises
     ------
     InputError
-        The file is no image, or cannot be read.
+        The file is not an image, or cannot be read.
     """
     if path.suffix.lower() not in SUFFIXES and path.is_file():
         with convert_read_errors(path, "a radiograph", "damaged"):
@@ -188,7 +189,7 @@ def _remove_side(stem: str, match: re.Match[str]) -> str:
 def _require_consistent_copies(films: tuple[Film, ...], folder: Path) -> None:
     """Require that copies of one file have the same grade, subject and side.
 
-    Otherwise a radiograph would have two labels, or one subject would count as two.
+    Inconsistent copies would give one radiograph two labels, or count one subject twice.
     """
     known: dict[str, Film] = {}
     for film in films:
@@ -214,7 +215,7 @@ def _list_folder_films(folder: Path) -> Iterator[Film]:
 
 
 def _stem(path: Path) -> str:
-    """Return the file name without its suffix. A DICOM name without a suffix, such as 1.2.840.1, stays whole."""
+    """Return the file name without its suffix. A DICOM name without a suffix, such as 1.2.840.1, is not shortened."""
     return path.stem if path.suffix.lower() in SUFFIXES else path.name
 
 
@@ -222,7 +223,7 @@ def _list_table_films(path: Path) -> Iterator[Film]:
     """Yield the radiographs of a CSV table."""
     names, rows = read_csv_rows(path)
     if "file" not in names:
-        raise InputError(f"file {path} must have the column file, got {', '.join(names) or 'none'}")
+        raise InputError(f"file {path} must have a column named file, got {', '.join(names) or 'no columns'}")
     for name in names:
         require_choice(f"file {path}: column", name, COLUMNS)
     seen: set[str] = set()
@@ -236,7 +237,7 @@ def _list_table_films(path: Path) -> Iterator[Film]:
 
 
 def _make_film(folder: Path, row: dict[str, str], where: str) -> Film:
-    """Make the Film of one row of a CSV table; `where` names the row in messages."""
+    """Make the `Film` for one row of a CSV table; `where` identifies the row in error messages."""
     file, grade, subject, side, pixel = (row.get(name, "").strip() for name in COLUMNS)
     if not file:
         raise InputError(f"{where}: file must be the path of a radiograph, relative to the table, got an empty cell")
@@ -255,7 +256,7 @@ def _make_film(folder: Path, row: dict[str, str], where: str) -> Film:
 
 
 def _parse_file_name(file: Path) -> tuple[str, str | None]:
-    """Read subject and side from the file name, or the subject from the folder of a file such as P1/left.png."""
+    """Parse subject and side from a file name; for a name such as P1/left.png the folder is the subject."""
     stem = _stem(file)
     subject, side = parse_subject_and_side(stem)
     alone = side is not None and subject == stem
@@ -263,22 +264,22 @@ def _parse_file_name(file: Path) -> tuple[str, str | None]:
 
 
 def _remove_zero_decimal(text: str) -> str:
-    """Remove ".0" from a whole number that a data frame with gaps stored as a float; keep any other text."""
+    """Remove ".0" from an integer that a data frame with missing values stored as a float; return other text."""
     return re.sub(r"(?<=\d)\.0$", "", text) if re.fullmatch(r"\d+\.0", text) else text
 
 
 def _parse_grade(name: str, text: str) -> int:
-    """Read a grade from a cell of a table."""
+    """Parse the grade in a table cell."""
     require_choice(name, _remove_zero_decimal(text), [str(value) for value in GRADES])
     return int(_remove_zero_decimal(text))
 
 
 def _parse_pixel_mm(name: str, text: str) -> float:
-    """Read a pixel size in mm from a cell of a table."""
+    """Parse the pixel size in a table cell, in mm."""
     try:
         value = float(text)
     except ValueError:
-        raise InputError(f"{name} must be a number of mm, or empty, got {text!r}") from None
+        raise InputError(f"{name} must be a number in mm, or empty, got {text!r}") from None
     require_in_range(name, value, *PIXEL_MM_RANGE, "mm")
     return value
 

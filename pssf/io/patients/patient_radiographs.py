@@ -1,4 +1,4 @@
-"""Read a patient radiograph of any image format, with pixels as displayed; `patient_list` lists the files."""
+"""Read a patient radiograph in any supported image format, and process its pixels for display."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,32 +30,32 @@ from .patient_list import (
 
 __all__ = ["SIDES", "SUFFIXES", "Film", "FilmImage", "list_films", "parse_subject_and_side", "read_film"]
 
-# Smallest number of rows or columns of an image. With it, the pixels of a joint 100 mm wide have about 1.5 mm.
+# Smallest number of rows or columns of an image; for a field 100 mm wide, 64 pixels are about 1.5 mm each.
 MIN_SIDE_PX = 64
-# Number of grey values of each Pillow mode.
+# Number of grey values in each Pillow image mode.
 _GREY_LEVELS = {"L": 2**8, "I;16": 2**16, "I;16L": 2**16, "I;16B": 2**16, "I;16N": 2**16}
 _COLOUR_MODES = ("P", "PA", "LA", "RGB", "RGBA")
 # Largest difference between the colour channels of a grey image, as a fraction of the largest grey value. The colour
-# transform of JPEG rounds the channels.
+# transform of JPEG rounds the channels, so equal channels may differ after decoding.
 _MAX_CHANNEL_SPREAD = 8 / 255
-_WHITE_IS_ZERO = 0  # value of PhotometricInterpretation
-_PHOTOMETRIC = 262  # TIFF 6.0: tag PhotometricInterpretation
+_WHITE_IS_ZERO = 0  # value of the tag PhotometricInterpretation
+_PHOTOMETRIC = 262  # number of the tag PhotometricInterpretation (TIFF 6.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FilmImage:
-    """Radiograph with pixels as displayed.
+    """Radiograph with pixels processed for display.
 
     Attributes
     ----------
     pixels : (rows, cols) array
-        Grey values from 0 to 1 (largest value of the bit depth). Bone is bright, unless the image is inverted and its
-        file does not state the inversion.
+        Grey values from 0 to 1 (largest value of the bit depth). Bone is bright, unless the file stores an inverted
+        image without declaring the inversion.
     pixel_mm : float or None
-        Pixel size at the detector, in mm; None if the file gives none. Only DICOM and files of this package give a
-        pixel size. The resolution in other files is meant for printing.
+        Pixel size at the detector, in mm; None if unknown. Only DICOM files and files from this package specify it; the
+        resolution in other files refers to printing.
     side : {"right", "left"} or None
-        Side of the knee; None if the file gives none.
+        Knee side; None if the file does not specify it.
     """
 
     pixels: Array
@@ -64,34 +64,34 @@ class FilmImage:
 
 
 def read_film(path: str | Path, processing: FlatPanelProcessing | None = None) -> FilmImage:
-    """Read a radiograph as displayed; apply display processing to linear pixels and to their logarithms.
+    """Read a radiograph; apply display processing to linear pixels and to log-converted pixels.
 
     Parameters
     ----------
     path : str or Path
-        PNG, JPEG, TIFF or DICOM of 8 to 16 bit. A colour image must have equal channels.
+        PNG, JPEG, TIFF or DICOM file with 8 to 16 bits. The channels of a colour image must be equal.
     processing : FlatPanelProcessing or None
         Display processing of linear pixels; None uses the display preset "processed".
 
     Returns
     -------
     FilmImage
-        Image as displayed.
+        Image processed for display.
 
     Raises
     ------
     InputError
         The file is missing, empty, damaged, or not an image. The image is coloured or too small, or has several frames,
-        a single grey value, or pixels that are not square. A DICOM For Processing does not state how pixel values
-        depend on the detector signal.
+        a single grey value, or non-square pixels. A For Processing DICOM does not state how its pixel values depend on
+        the detector signal.
     """
     path = Path(path)
     require_film(path)
-    with convert_read_errors(path, "a readable radiograph of 8 to 16 bit", "damaged"):
+    with convert_read_errors(path, "a readable radiograph with 8 to 16 bits", "damaged"):
         if path.stat().st_size == 0:
-            raise InputError(f"file {path} must be a radiograph, got 0 bytes")
+            raise InputError(f"file {path} must be a radiograph, got an empty file")
         if is_dicom(path):
-            from . import patient_dicom  # pydicom is only imported for DICOM files.
+            from . import patient_dicom  # pydicom is imported only for DICOM files.
 
             ours = patient_dicom.is_own_linear_dicom(path)
             film = (
@@ -119,7 +119,7 @@ def _render_own_radiograph(path: Path, processing: FlatPanelProcessing | None) -
 
 
 def _read_picture(path: Path, processing: FlatPanelProcessing | None) -> FilmImage:
-    """Read a PNG, JPEG or TIFF as displayed."""
+    """Read a PNG, JPEG or TIFF, and process its pixels for display."""
     with _open_picture(path) as image:
         frames = getattr(image, "n_frames", 1)
         if frames > 1:
@@ -129,7 +129,7 @@ def _read_picture(path: Path, processing: FlatPanelProcessing | None) -> FilmIma
         said: dict[str, Any] = _read_own_metadata(path) if "Description" in image.info else {}
         upright = ImageOps.exif_transpose(image)
         pixels = _convert_to_grey(np.asarray(_remove_palette(upright, path)), upright.mode, path)
-        # Pillow inverts white-is-zero images of 8 bit, but not those of 16 bit.
+        # Pillow inverts 8-bit white-is-zero images, but not 16-bit white-is-zero images.
         if image.mode != "L" and getattr(image, "tag_v2", {}).get(_PHOTOMETRIC) == _WHITE_IS_ZERO:
             pixels = 1.0 - pixels
     return FilmImage(pixels=pixels, **said)
@@ -142,18 +142,18 @@ def _open_picture(path: Path) -> Image.Image:
         image = Image.open(path)
         image.load()
         return image
-    except OSError as error:  # Pillow raises OSError for damaged files and files that are no image.
+    except OSError as error:  # Pillow raises OSError for damaged files and for files that are not images.
         if image is not None:
             image.close()
         if error.errno is not None:
             raise
         raise InputError(
-            f"file {path} must be a readable radiograph of 8 to 16 bit, got a damaged file, or no image"
+            f"file {path} must be a readable radiograph with 8 to 16 bits, got a file that is damaged or not an image"
         ) from None
 
 
 def _read_own_metadata(path: Path) -> dict[str, Any]:
-    """Read pixel size and side from an image that this package wrote; empty for any other."""
+    """Read the pixel size and knee side from an image that this package wrote; return {} for other images."""
     try:
         made = load_parameters(path)
     except InputError:
@@ -163,7 +163,7 @@ def _read_own_metadata(path: Path) -> dict[str, Any]:
 
 def _remove_palette(image: Image.Image, path: Path) -> Image.Image:
     """Convert a colour or palette image to RGBA; return a grey image unchanged."""
-    require_choice(f"file {path}: kind of pixel", image.mode, (*_GREY_LEVELS, *_COLOUR_MODES))
+    require_choice(f"file {path}: pixel format", image.mode, (*_GREY_LEVELS, *_COLOUR_MODES))
     return image.convert("RGBA") if image.mode in _COLOUR_MODES else image
 
 

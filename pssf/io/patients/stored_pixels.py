@@ -15,36 +15,35 @@ from ..image_kind import is_dicom
 from ..radiograph_files import convert_read_errors, load_parameters
 from .patient_list import PIXEL_MM_RANGE, require_film
 
-# Smallest value of int16 and largest value of uint16, the limits of stored values.
+# Limits of stored pixel values: smallest int16 value and largest uint16 value.
 _LEAST = -32768
 _MOST = 65535
-_ALLOWED_STORED = "one grey image of 8 to 16 bit"
-_ALLOWED_LINEAR = "one image of linear pixels, 9 to 16 bit, grey"
-_SOFTWARE_TAG = 305  # TIFF 6.0: tag Software
-# Values of DICOM attributes that state that pixels are not linear in the signal.
+_ALLOWED_STORED = "one grey image with 8 to 16 bits"
+_ALLOWED_LINEAR = "one grey image with linear pixels of 9 to 16 bits"
+_SOFTWARE_TAG = 305  # number of the tag Software (TIFF 6.0)
+# DICOM attribute values that declare pixel values as not proportional to the detector signal.
 _NONLINEAR_VALUES = {
     "PresentationIntentType": "FOR PRESENTATION",
     "PixelIntensityRelationship": "LOG",
     "PixelIntensityRelationshipSign": "-1",
 }
 _SIDES = {"R": "right", "L": "left"}
-_SQUARE_TOLERANCE = 0.01  # largest relative difference between height and width of a square pixel
+_SQUARE_TOLERANCE = 0.01  # largest relative difference between the height and width of a square pixel
 
 
 class StoredPixels(NamedTuple):
-    """Pixel values as stored in a file.
+    """Pixel values as stored in a file, with their metadata.
 
     Attributes
     ----------
     pixels : (rows, cols) integer array
-        Stored values, without unit.
+        Stored values, dimensionless.
     pixel_mm : float or None
-        Pixel size at the detector, in mm; None if the file gives none. Only DICOM gives
-        it.
+        Pixel size at the detector, in mm; None if unknown. Only DICOM files specify it.
     side : {"right", "left"} or None
-        Side of the knee; None if the file gives none.
+        Knee side; None if the file does not specify it.
     dicom_attributes : dict of str to str
-        DICOM attributes that state the meaning of the pixels; empty for other files.
+        DICOM attributes that specify how pixel values depend on the detector signal; empty for other file formats.
     """
 
     pixels: NDArray[Any]
@@ -54,23 +53,23 @@ class StoredPixels(NamedTuple):
 
 
 def read_stored_pixels(path: str | Path) -> StoredPixels:
-    """Read pixel values as stored in a file, without display processing; rescale the values of a DICOM.
+    """Read the pixel values that a file stores, without display processing; apply the modality rescale of a DICOM.
 
     Parameters
     ----------
     path : str or Path
-        TIFF, PNG, JPEG or DICOM with one grey image of 8 to 16 bit.
+        TIFF, PNG, JPEG or DICOM file that contains one grey image with 8 to 16 bits.
 
     Returns
     -------
     StoredPixels
-        Stored values.
+        Stored pixel values, pixel size, knee side and DICOM attributes.
 
     Raises
     ------
     InputError
         The file is missing, damaged, or not an image. The image has colour, several frames, or values that are not
-        whole numbers from -32768 to 65535.
+        integers from -32768 to 65535.
     """
     path = Path(path)
     require_film(path)
@@ -81,28 +80,28 @@ def read_stored_pixels(path: str | Path) -> StoredPixels:
             raise InputError(f"file {path} must be {_ALLOWED_STORED}, got {pixels.shape} of {pixels.dtype}")
         least, most = int(pixels.min()), int(pixels.max())
         if not _LEAST <= least <= most <= _MOST:
-            raise InputError(f"file {path}: pixels must be {_LEAST} to {_MOST}, got {least} to {most}")
+            raise InputError(f"file {path}: pixel values must be {_LEAST} to {_MOST}, got {least} to {most}")
         return stored
 
 
 def read_linear_pixels(path: str | Path) -> StoredPixels:
-    """Read pixels that the user declares to be linear in the signal, with air bright.
+    """Read pixels that the user declares as linear in the detector signal, with air bright.
 
     Parameters
     ----------
     path : str or Path
-        TIFF, PNG or DICOM with one grey image of 9 to 16 bit.
+        TIFF, PNG or DICOM file that contains one grey image with 9 to 16 bits.
 
     Returns
     -------
     StoredPixels
-        Unchanged pixels as uint16.
+        Stored pixel values, converted to uint16 without scaling.
 
     Raises
     ------
     InputError
-        `read_stored_pixels` raises an InputError. The file has 8 bits or fewer, or negative values. A DICOM states that
-        its pixels are logarithms, decrease with the signal, or are For Presentation.
+        The file is rejected by `read_stored_pixels`, has 8 bits or fewer, or contains negative values. A DICOM declares
+        its pixels as log-converted, decreasing with the signal, or For Presentation.
     """
     path = Path(path)
     stored = read_stored_pixels(path)
@@ -112,12 +111,12 @@ def read_linear_pixels(path: str | Path) -> StoredPixels:
         raise InputError(f"file {path} must be {_ALLOWED_LINEAR}, got values {least} to {most} of {bits} bits")
     for name, refused in _NONLINEAR_VALUES.items():
         if stored.dicom_attributes.get(name, "") == refused:
-            raise InputError(f"file {path}: {name} must state linear pixels, got {refused}")
+            raise InputError(f"file {path}: {name} must declare linear pixels, got {refused}")
     return stored._replace(pixels=stored.pixels.astype(np.uint16))
 
 
 def has_declared_pixel_meaning(path: Path) -> bool:
-    """Return whether a file declares its pixels to be linear or displayed.
+    """Return whether a file declares its pixels as linear or as processed for display.
 
     Parameters
     ----------
@@ -127,7 +126,8 @@ def has_declared_pixel_meaning(path: Path) -> bool:
     Returns
     -------
     bool
-        True for DICOM, for files of this package, and for images of 8 bits, whose pixels are as displayed.
+        True for DICOM files, for files from this package, and for 8-bit images, which are assumed to be processed for
+        display.
     """
     if is_dicom(path):
         return True
@@ -146,7 +146,7 @@ def has_declared_pixel_meaning(path: Path) -> bool:
 
 
 def _read_picture(path: Path) -> NDArray[Any]:
-    """Read the stored values of a TIFF, PNG or JPEG."""
+    """Read the stored pixel values of a TIFF, PNG or JPEG."""
     if path.suffix.lower() in (".tif", ".tiff"):
         with tifffile.TiffFile(path) as tiff:
             if len(tiff.pages) > 1:
@@ -158,8 +158,8 @@ def _read_picture(path: Path) -> NDArray[Any]:
 
 
 def _read_dicom(path: Path) -> StoredPixels:
-    """Read the rescaled values of a DICOM, its pixel size and side, and the attributes that state their meaning."""
-    import pydicom  # pydicom is only imported for DICOM files.
+    """Read the rescaled pixel values of a DICOM, its pixel size, knee side and pixel intensity attributes."""
+    import pydicom  # pydicom is imported only for DICOM files.
     from pydicom.pixels import apply_modality_lut
 
     from ..dicom.dicom_pixels import decode_pixels, remove_empty_attributes

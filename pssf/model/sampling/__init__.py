@@ -1,1 +1,1 @@
-"""Random sampling of knees, acquisitions and display processing from the package's tables of distributions."""
+"""Sample knees, acquisitions and display processing from tables of probability distributions."""

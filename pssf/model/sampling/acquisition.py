@@ -1,4 +1,4 @@
-"""Acquisition variability: sample positioning and technique, which vary from one radiograph to the next."""
+"""Sample acquisition variability: positioning and exposure technique, which differ between radiographs."""
 
 from dataclasses import replace
 from typing import Any
@@ -17,18 +17,18 @@ from ...data.knees.field_definitions import FieldSpec, load_field_specs
 from ..knee import Knee
 from ..protocol import Protocol
 
-# Number of standard deviations at which normal distributions are truncated.
+# Limit at which normal distributions are truncated, in standard deviations.
 _TRUNCATION_SD = 2.0
-# Rounding step of sampled values, in the unit of each field; finer differences could not be measured.
+# Rounding step of sampled values, in the unit of each field; smaller differences are not measurable.
 _ROUNDING_STEP = 0.001
-# Fields that vary only if the protocol flexes the knee.
+# Protocol fields that vary only if the protocol flexes the knee.
 _FLEXION_FIELDS = ("flexion_deg", "tibia_forward_deg")
-# Fields of an acquisition other than the pose of the leg.
+# Protocol fields that describe an acquisition, except the leg pose.
 _ACQUISITION_FIELDS = (
     *("centre_x_mm", "centre_z_mm", "beam_angle_deg", "tibia_forward_deg", "tube_kv", "mas", "sdd_mm"),
     *("field_width_mm", "field_height_mm", "marker"),
 )
-# Side of the body -> letter of the side marker.
+# Letter of the side marker, keyed by the side of the body.
 SIDE_MARKERS = {"right": "R", "left": "L"}
 
 
@@ -36,17 +36,18 @@ SIDE_MARKERS = {"right": "R", "left": "L"}
 def sample_acquisition(protocol: Protocol, *, rng: RNGLike, side: str | None = None) -> Protocol:
     """Sample the acquisition variability of a protocol: positioning, beam, technique, field and marker.
 
-    Centring, tilt, rotation and flexion of the leg, beam angle, distance, kV, mAs, field and marker vary as in
-    ``data/exposures.toml``, which names the sources. Values are clipped to the range of their field.
+    Centring, tilt, rotation and flexion of the leg, beam angle, distance, kV, mAs, field and marker are sampled from
+    the distributions in ``data/exposures.toml``, which cites the sources. Sampled values are clipped to the allowed
+    range of each field.
 
     Parameters
     ----------
     protocol : Protocol
-        Nominal protocol.
+        Protocol with nominal values.
     rng : int or numpy.random.Generator
         Seed or generator; the only source of randomness.
     side : {"right", "left"}, optional
-        Side of the body that the marker shows. None: no marker.
+        Side of the body that the side marker indicates. None: no marker.
 
     Returns
     -------
@@ -67,12 +68,12 @@ def sample_acquisition(protocol: Protocol, *, rng: RNGLike, side: str | None = N
     (70.0, 74.0)
     """
     if not isinstance(protocol, Protocol):
-        raise InputError(f"protocol must be a Protocol, as load_protocol returns it, got {protocol!r}")
+        raise InputError(f"protocol must be a Protocol, such as the result of load_protocol, got {protocol!r}")
     rng = resolve_generator(rng)
     require_choice("side", side, (*SIDE_MARKERS, None))
     table, laws = load_acquisition_variability(), load_field_specs("protocol")
-    # All fields are sampled, even unused ones, so that the random numbers of a field do not depend on which others are
-    # used.
+    # All fields are sampled, including unused fields, so that the random numbers of a field do not depend on the use of
+    # other fields.
     drawn = {name: float(_sample_normal(rng)) * sd for name, sd in (table.spread | table.factor).items()}
     width, height = (float(rng.uniform(*pair)) for pair in (table.field.width_mm, table.field.height_mm))
     marked = rng.random() < table.marker.share
@@ -86,26 +87,26 @@ def sample_acquisition(protocol: Protocol, *, rng: RNGLike, side: str | None = N
     }
     letter = SIDE_MARKERS[side] if marked and side is not None else "none"
     field: dict[str, Any] = {"field_width_mm": round(width, 1), "field_height_mm": round(height, 1), "marker": letter}
-    if protocol.knee_distance_mm:  # The sampled field size fits one knee and is too small for two.
+    if protocol.knee_distance_mm:  # The sampled field size is for one knee and too small for two.
         field |= {name: getattr(protocol, name) for name in ("field_width_mm", "field_height_mm")}
     return replace(protocol, **(field | within))
 
 
 def describe_acquisition(knee: Knee, protocol: Protocol) -> dict[str, float | str]:
-    """List the values of all fields that `sample_acquisition` varies, for the radiograph of a knee.
+    """Return the values of all fields that `sample_acquisition` varies, for a knee imaged with a protocol.
 
     Parameters
     ----------
     knee : Knee
-        The knee, with its own flexion, rotation and lean.
+        Imaged knee, whose flexion, rotation and lean are included.
     protocol : Protocol
         Protocol of the radiograph.
 
     Returns
     -------
     dict of str to (float or str)
-        Value per field of the protocol. ``flexion_deg``, ``rotation_deg`` and ``tilt_deg`` are the sums of the knee's
-        own angle and the angle added by the protocol.
+        Values keyed by protocol field. ``flexion_deg``, ``rotation_deg`` and ``tilt_deg`` are sums of the knee angle
+        and the positioning angle of the protocol.
     """
     taken: dict[str, float | str] = {name: getattr(protocol, name) for name in _ACQUISITION_FIELDS}
     own = {"flexion_deg": knee.flexion_deg, "rotation_deg": knee.rotation_deg, "tilt_deg": knee.lean_deg}
@@ -120,6 +121,6 @@ def _sample_normal(rng: np.random.Generator) -> float:
 
 
 def _clip_to_range(value: float, law: FieldSpec, step: float) -> float:
-    """Clip a value to the range of its field and round it to whole steps."""
+    """Clip a field value to the allowed range of the field, and round it to a multiple of `step`."""
     assert law.range is not None
     return round(round(float(np.clip(value, *law.range)) / step) * step, 3)

@@ -13,36 +13,36 @@ from ...data.knees.grade_records import (
 from ...data.table_records import Pair
 from ..knee import Cyst, Osteophyte, other_compartment
 
-# Positions of cysts before the random shift, in units of `Cyst.place`. After the shift, two cysts are still at least
-# 0.5 apart, as `Knee` requires for cysts at the same site.
+# Cyst positions before the random shift, in units of `Cyst.place`. Shifted cysts are still at least 0.5
+# apart, the minimum that `Knee` requires at one site.
 _CYST_POSITIONS = (-0.7, 0.0, 0.7)
-# Largest random shift of a cyst, in units of `Cyst.place`.
+# Largest random shift of a cyst position, in units of `Cyst.place`.
 _POSITION_JITTER = 0.09
 
 
 def sample_advanced_fields(
     table: SeverityGradeTable, grade: int, narrowed_side: str, severity: float, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """Sample cysts, subluxation, notch growth and effusion of a knee of a KL grade.
+    """Sample the cysts, subluxation, notch growth and effusion of a knee from its KL grade.
 
     Parameters
     ----------
     table : SeverityGradeTable
-        Grade table.
+        Grade table with the distributions of the sampled fields.
     grade : int
         KL grade of the knee.
     narrowed_side : {"medial", "lateral"}
-        Compartment that narrows.
+        Compartment with joint space narrowing.
     severity : float
-        Severity of the knee within its grade, as a standard score.
+        Severity of osteoarthritis within the KL grade, as a standard score.
     rng : numpy.random.Generator
         Generator with its own random stream.
 
     Returns
     -------
     dict of str to object
-        The fields ``cysts``, ``subluxation_mm``, ``notch_growth_mm`` and ``effusion_mm`` of a `Knee`. Fields that the
-        table does not define are an empty tuple or 0.
+        The fields ``cysts``, ``subluxation_mm``, ``notch_growth_mm`` and ``effusion_mm`` of a `Knee`. If the table does
+        not define a field, its value is an empty tuple or 0.
     """
     of_cysts, of_subluxation, of_notch = rng.spawn(3)
     cysts = () if table.cysts is None else _sample_cysts(table.cysts, grade, narrowed_side, of_cysts)
@@ -50,7 +50,7 @@ def sample_advanced_fields(
     slip, notch, effusion = table.subluxation, table.notch, table.effusion
 
     def millimetres(laws: MeanSdByGrade, bounds: Pair, chance: np.random.Generator) -> float:
-        """Sample a value in mm that correlates with the severity, and clip it to its bounds."""
+        """Sample a value in mm that correlates with severity, and clip the value to `bounds`."""
         mean, sd = laws[grade]
         score = correlated_score(severity, table.side.severity_correlation, chance.standard_normal())
         return round(float(np.clip(mean + sd * score, *bounds)), 4)
@@ -77,7 +77,7 @@ def sample_central_osteophytes(
     grade : int
         KL grade of the knee.
     narrowed_side : {"medial", "lateral"}
-        Compartment that narrows.
+        Compartment with joint space narrowing.
     rng : numpy.random.Generator
         Generator with its own random stream.
 
@@ -96,27 +96,27 @@ def sample_central_osteophytes(
 
 
 def correlated_score(severity: float, correlation: float, independent_score: float) -> float:
-    """Compute a standard score with a given correlation to the severity.
+    """Compute a standard score that has a specified correlation with severity.
 
     Parameters
     ----------
     severity : float
-        Severity, a standard score.
+        Severity as a standard score.
     correlation : float
-        Correlation of the returned score with the severity, -1 to 1.
+        Correlation between the returned score and the severity, -1 to 1.
     independent_score : float
         Standard score that is independent of the severity.
 
     Returns
     -------
     float
-        Standard score with the given correlation.
+        Standard score with the specified correlation.
     """
     return float(correlation * severity + np.sqrt(1 - correlation**2) * independent_score)
 
 
 def _sample_cysts(law: CystDistribution, grade: int, narrowed_side: str, rng: np.random.Generator) -> tuple[Cyst, ...]:
-    """Sample the cysts of a knee: number, site, size and position."""
+    """Sample the number, sites, sizes and positions of the cysts of a knee."""
     has, count = rng.random() < law.share[grade], int(rng.integers(1, law.max_count + 1))
     other = other_compartment(narrowed_side)
     places = rng.permutation(_CYST_POSITIONS)

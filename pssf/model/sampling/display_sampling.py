@@ -1,4 +1,4 @@
-"""Sample display processing, which varies between radiology departments: latitude, sharpness and grey scale."""
+"""Sample display processing, whose latitude, sharpness and grey scale vary between radiology departments."""
 
 import msgspec
 import numpy as np
@@ -7,13 +7,13 @@ from ...core.checks import RNGLike, resolve_generator
 from ...core.keyword_arguments import check_keywords
 from ...data.imaging.display_table import DisplayProcessing, FlatPanelProcessing, load_display_processing
 
-# Number of standard deviations at which normal distributions are truncated.
+# Limit to which standard scores are clipped, in standard deviations.
 _TRUNCATION_SD = 2.0
 
 
 @check_keywords()
 def sample_display_processing(*, rng: RNGLike) -> FlatPanelProcessing:
-    """Sample the display processing of a department: latitude, sharpness, and both ends of the grey scale.
+    """Sample the display processing of a radiology department: latitude, sharpness and grey scale.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def sample_display_processing(*, rng: RNGLike) -> FlatPanelProcessing:
 
     Notes
     -----
-    The distributions and their source are in ``data/looks.toml``.
+    ``data/looks.toml`` contains the distributions and their sources.
 
     Examples
     --------
@@ -45,19 +45,19 @@ def sample_display_processing(*, rng: RNGLike) -> FlatPanelProcessing:
 
 
 def sample_processing_from_table(table: DisplayProcessing, *, rng: np.random.Generator) -> FlatPanelProcessing:
-    """Sample display processing from a loaded table, as in `sample_display_processing`.
+    """Sample display processing like `sample_display_processing`, but from a loaded table.
 
     Parameters
     ----------
     table : DisplayProcessing
-        Default processing and its variability.
+        Default display processing and distributions of its parameters.
     rng : numpy.random.Generator
         Generator; the only source of randomness.
 
     Returns
     -------
     FlatPanelProcessing
-        Sampled parameters.
+        Sampled display processing.
     """
     spread = table.spread
     scores = np.clip(rng.standard_normal(5), -_TRUNCATION_SD, _TRUNCATION_SD)

@@ -1,4 +1,4 @@
-"""Sample a knee, or both knees of a person, for a KL grade from a grade table."""
+"""Sample a knee or a pair of knees with a requested KL grade from a grade table."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,9 +33,9 @@ from .severity_sampling import sample_severity_fields
 
 # Name of the default grade table.
 DEFAULT_GRADE_TABLE = "population"
-# Number of standard deviations to which standard scores are clipped.
+# Limit to which standard scores are clipped, in standard deviations.
 _TRUNCATION_SD = 2.0
-# Fields that are equal in both knees of a person.
+# Knee fields that have the same value in both knees of a person.
 _SHARED_FIELDS = (
     "sex", "stature_mm", "bone_scale", "cortex_scale", "bmi", "limb_ap_mm", "fat_mm", "skin_folds", "age_years",
     "bone_density", "shape", "fibular_tip_mm", "insall_salvati", "fabella_mm", "mechanical_axis_deg",
@@ -49,13 +49,13 @@ class KneeDistributions:
     Attributes
     ----------
     table : str
-        Name of the grade table, or the file name of a user's own table.
+        Name of the grade table, or file name of a user-defined table.
     grades : RangeGradeTable or SeverityGradeTable
         Grade table.
     mode_count : int
-        Number of modes of bone shape.
+        Number of bone shape modes.
     limbs : LimbStatistics
-        Distribution of the BMI, and limb and fat thickness by BMI and sex.
+        BMI distribution, and dependence of limb and fat thickness on BMI and sex.
     bmi : FieldSpec
         Allowed range of the BMI.
     density : (mean, SD) pair of float
@@ -71,17 +71,17 @@ class KneeDistributions:
 
 
 def load_knee_distributions(table: str) -> KneeDistributions:
-    """Load a grade table and the distributions that all tables share.
+    """Load a grade table, together with the distributions that are common to all grade tables.
 
     Parameters
     ----------
     table : str
-        Name of a grade table, or path of a TOML file.
+        Name of a built-in grade table, or path of a TOML file.
 
     Returns
     -------
     KneeDistributions
-        The distributions.
+        Grade table and common distributions.
 
     Raises
     ------
@@ -102,27 +102,27 @@ def load_knee_distributions(table: str) -> KneeDistributions:
 
 @check_keywords(table="grade_table")
 def sample_knee(*, grade: int, rng: RNGLike, grade_table: str = DEFAULT_GRADE_TABLE, **fixed: Any) -> Knee:
-    """Sample a knee for a KL grade from a grade table.
+    """Sample a knee with a requested KL grade from a grade table.
 
     Parameters
     ----------
     grade : int
-        KL grade: 0 to 4 in the table ``population``, 0 to 2 in ``paper``.
+        Requested KL grade: 0 to 4 with the grade table ``population``, 0 to 2 with ``paper``.
     rng : int or numpy.random.Generator
         Seed or generator; the only source of randomness. Size and pose are sampled from the generator. Texture seed,
         bone shape and BMI are sampled from child generators.
     grade_table : str, default "population"
-        Name of a grade table, or path of a user's own TOML file. In ``population`` the grades overlap as in patients,
-        and joint spaces have the definition "read" (`Knee.jsw_definition`). In ``paper`` the joint space alone
-        separates grades 0 to 2.
+        Name of a built-in grade table, or path of a user-defined TOML file. In ``population``, grades overlap as in
+        patients, and `Knee.jsw_definition` is "read". In ``paper``, the joint space width alone distinguishes grades 0
+        to 2.
     **fixed : object
-        Fields of `Knee` with fixed values. Fixed values do not change the other sampled fields, with two exceptions:
-        sizes depend on `sex`, and limb and fat thickness depend on `bmi`.
+        Fixed values of `Knee` fields. A fixed value does not change other sampled fields, with two exceptions: sizes
+        depend on `sex`, and limb and fat thickness depend on `bmi`.
 
     Returns
     -------
     Knee
-        The sampled knee.
+        Sampled knee.
 
     Raises
     ------
@@ -143,7 +143,7 @@ def sample_knee(*, grade: int, rng: RNGLike, grade_table: str = DEFAULT_GRADE_TA
 
 
 def _require_grade(distributions: KneeDistributions, grade: int, tables_with_grade: Sequence[str] = ()) -> None:
-    """Check that the grade table contains a grade; the error message names tables of the package that do."""
+    """Check that a grade table contains a grade; if not, the error message lists built-in tables with this grade."""
     whole = isinstance(grade, Integral) and not isinstance(grade, bool)
     if whole and grade in distributions.grades.grades:
         return
@@ -155,7 +155,7 @@ def _require_grade(distributions: KneeDistributions, grade: int, tables_with_gra
 def sample_knee_from_distributions(
     distributions: KneeDistributions, *, grade: int, rng: np.random.Generator, **fixed: Any
 ) -> Knee:
-    """Sample a knee from loaded distributions, as in `sample_knee`.
+    """Sample a knee like `sample_knee`, but from loaded distributions.
 
     Parameters
     ----------
@@ -171,12 +171,12 @@ def sample_knee_from_distributions(
     Returns
     -------
     Knee
-        The sampled knee.
+        Sampled knee.
 
     Raises
     ------
     InputError
-        If the table lacks the grade, or a fixed field is unknown or not allowed.
+        If the grade table does not contain the grade, or a fixed field or value is not allowed.
     """
     law = distributions.grades
     _require_grade(distributions, grade)
@@ -197,13 +197,13 @@ def sample_knee_from_distributions(
             drawn[name] = _sample_uniform(rng, getattr(ranges, name))
     for name, bounds in law.pose.items():
         drawn[name] = _sample_uniform(rng, bounds)
-    # Both seeds have the same value, because they seed independent random streams.
+    # Both fields have the same seed, because texture and bone form use independent random streams.
     drawn["texture_seed"] = drawn["form_seed"] = int(rng.spawn(1)[0].integers(2**63))
-    # The following fields use child generators, so that they do not change the values sampled above.
+    # The remaining fields use child generators, so that they do not change the fields sampled before.
     drawn |= _sample_bone_form(rng.spawn(1)[0], law, sex, distributions.mode_count)
     if isinstance(law, SeverityGradeTable):
         drawn |= sample_severity_fields(law, int(grade), sex, drawn["bone_scale"], rng.spawn(1)[0])
-        # A leg in varus leans more, which keeps the joint line horizontal.
+        # A varus leg leans more, so that the joint line remains horizontal.
         lean_deg = drawn["lean_deg"] + law.rest.lean_per_varus * drawn["varus_deg"]
         drawn["lean_deg"] = round(float(np.clip(lean_deg, -15.0, 15.0)), 4)
     elif ranges is not None:
@@ -222,7 +222,7 @@ def sample_knee_from_distributions(
 def _sample_skin_folds_and_hip_axis(
     law: SeverityGradeTable, bmi: float, sex: str, rng: np.random.Generator
 ) -> dict[str, float]:
-    """Sample the depth of skin folds and the femoral mechanical axis angle, if the table defines them."""
+    """Sample skin fold depth and femoral mechanical axis angle, if the grade table defines their distributions."""
     sampled = {}
     if law.skin_folds is not None:
         most = np.interp(bmi, *np.array(law.skin_folds.max_depth_by_bmi).T)
@@ -234,7 +234,7 @@ def _sample_skin_folds_and_hip_axis(
 
 
 def sample_knees(distributions: KneeDistributions, count: int, seed: int, **fixed: Any) -> list[Knee]:
-    """Sample knees that cycle through all grades of a table.
+    """Sample knees whose KL grades cycle through all grades of a grade table.
 
     Parameters
     ----------
@@ -243,19 +243,19 @@ def sample_knees(distributions: KneeDistributions, count: int, seed: int, **fixe
     count : int
         Number of knees.
     seed : int
-        Seed. The random stream of knee k depends only on the seed and k.
+        Seed; the random stream of knee k depends only on the seed and on k.
     **fixed : object
         Fields of `Knee` with fixed values.
 
     Returns
     -------
     list of Knee
-        The sampled knees.
+        Sampled knees.
 
     Raises
     ------
     InputError
-        If a fixed field is unknown or not allowed.
+        If a fixed field or value is not allowed.
     """
     grades = distributions.grades.grades
     streams = (np.random.SeedSequence(seed, spawn_key=(index,)) for index in range(count))
@@ -271,18 +271,18 @@ def sample_knees(distributions: KneeDistributions, count: int, seed: int, **fixe
 def sample_knee_pair(
     *, grade: int, rng: RNGLike, grade_table: str = DEFAULT_GRADE_TABLE, **fixed: Any
 ) -> tuple[Knee, Knee]:
-    """Sample the right and the left knee of a person, with the same KL grade.
+    """Sample the right and left knee of a person with the same KL grade.
 
     Parameters
     ----------
     grade : int
-        KL grade of both knees, as in `sample_knee`.
+        KL grade of both knees; the allowed grades are those of `sample_knee`.
     rng : int or numpy.random.Generator
         Seed or generator; the only source of randomness.
     grade_table : str, default "population"
-        Grade table, as in `sample_knee`.
+        Name of a built-in grade table, or path of a user-defined TOML file; see `sample_knee`.
     **fixed : object
-        Fields of `Knee` with fixed values in both knees; `side` is not allowed.
+        Fixed values of `Knee` fields in both knees; `side` is not allowed.
 
     Returns
     -------
@@ -299,9 +299,9 @@ def sample_knee_pair(
 
     Notes
     -----
-    Both knees share sex, stature, age, BMI, limb and fat thickness, and skin folds. They also share the size, shape,
-    cortex and density of the bones, the height of fibula and patella, the fabella and the mechanical axis. Joint
-    spaces, alignment, osteophytes and pose are sampled for each knee.
+    Both knees have the same sex, stature, age, BMI, limb and fat thickness, and skin folds. Size, shape, cortex and
+    density of the bones, fibula and patella height, fabella and mechanical axis are also the same. Joint spaces,
+    alignment, osteophytes and pose are sampled separately.
 
     Examples
     --------
@@ -324,7 +324,7 @@ def sample_knee_pair(
 def sample_shared_fields(
     distributions: KneeDistributions, *, grade: int, rng: np.random.Generator, **fixed: Any
 ) -> dict[str, Any]:
-    """Sample the fields that are equal in both knees of a person.
+    """Sample the knee fields that have the same value in both knees of a person.
 
     Parameters
     ----------
@@ -333,26 +333,26 @@ def sample_shared_fields(
     grade : int
         KL grade of both knees.
     rng : numpy.random.Generator
-        Generator with the random stream of the person.
+        Random generator for this person.
     **fixed : object
         Fields of `Knee` with fixed values.
 
     Returns
     -------
     dict of str to object
-        Field of `Knee` and value.
+        Sampled values keyed by `Knee` field.
 
     Raises
     ------
     InputError
-        If the table lacks the grade, or a fixed field is unknown or not allowed.
+        If the grade table does not contain the grade, or a fixed field or value is not allowed.
     """
     body = sample_knee_from_distributions(distributions, grade=grade, rng=rng, **fixed)
     return {name: getattr(body, name) for name in _SHARED_FIELDS}
 
 
 def _compute_limb_sizes(bmi: float, sex: str, sampled: dict[str, Any], law: LimbStatistics) -> dict[str, float]:
-    """Compute limb and fat thickness: the mean for the BMI and sex plus the sampled deviation; return BMI too."""
+    """Add the sampled deviations to the mean limb and fat thickness for BMI and sex; return BMI and thicknesses."""
     about = {name: limb.clip_to_range(limb.mean_at_bmi(bmi, sex) + sampled[name]) for name, limb in law.limb.items()}
     return {"bmi": bmi, **about}
 
@@ -360,7 +360,7 @@ def _compute_limb_sizes(bmi: float, sex: str, sampled: dict[str, Any], law: Limb
 def _sample_bone_form(
     rng: np.random.Generator, table: RangeGradeTable | SeverityGradeTable, sex: str, mode_count: int
 ) -> dict[str, Any]:
-    """Sample the scores of the modes of bone shape and the positions of the small bones."""
+    """Sample the bone shape scores, and the positions of fibula, patella and fabella."""
     scores = rng.standard_normal(mode_count).clip(-MAX_SHAPE_SD, MAX_SHAPE_SD)
     form: dict[str, Any] = {"shape": tuple(round(float(score), 4) for score in scores)}
     form |= {name: _sample_normal(rng, law, sex) for name, law in table.form.items()}
@@ -369,7 +369,7 @@ def _sample_bone_form(
 
 
 def _sample_normal(rng: np.random.Generator, law: Pair | dict[str, Pair], sex: str) -> float:
-    """Sample a normal distribution (mean, SD), which may depend on sex, clipped at 2 SD."""
+    """Sample a normal distribution (mean, SD) that may depend on sex; clip the value at 2 SD."""
     mean, sd = law[sex] if isinstance(law, dict) else law
     return round(mean + sd * min(_TRUNCATION_SD, max(-_TRUNCATION_SD, rng.standard_normal())), 4)
 
@@ -377,18 +377,18 @@ def _sample_normal(rng: np.random.Generator, law: Pair | dict[str, Pair], sex: s
 def _sample_osteophytes(
     rng: np.random.Generator, count_range: tuple[int, int], largest_range_mm: Pair
 ) -> tuple[Osteophyte, ...]:
-    """Sample osteophytes from a range of counts and a range of sizes; the first osteophyte is the largest."""
+    """Sample osteophytes from a count range and a size range; the first osteophyte is the largest."""
     count = int(rng.integers(count_range[0], count_range[1] + 1))
     largest = _sample_uniform(rng, largest_range_mm)
     sites = rng.permutation(len(MARGIN_AND_SPINE_SITES))
     shares = rng.uniform(0.3, 1.0, len(MARGIN_AND_SPINE_SITES))
     shares[0] = 1.0
     sized = [(MARGIN_AND_SPINE_SITES[sites[i]], round(largest * float(shares[i]), 4)) for i in range(count)]
-    # Osteophytes below 0.2 mm are dropped. They cannot be distinguished from the natural rounding of the margin, and a
-    # pixel of 0.15 mm does not show them.
+    # Osteophytes below 0.2 mm are removed, because a pixel of 0.15 mm does not show them, and because they cannot be
+    # distinguished from the natural rounding of the margin.
     return tuple(Osteophyte(site=site, size_mm=size) for site, size in sized if size >= 0.2)
 
 
 def _sample_uniform(rng: np.random.Generator, bounds: Pair) -> float:
-    """Sample a uniform distribution between two bounds."""
+    """Sample a uniform distribution between a lower and an upper bound."""
     return round(float(rng.uniform(bounds[0], bounds[1])), 4)

@@ -1,4 +1,4 @@
-"""Sample the fields of a knee that depend on its KL grade; a latent severity makes them correlate."""
+"""Sample the knee fields that depend on the KL grade, correlated through a latent severity."""
 
 from functools import cache
 from typing import Any
@@ -12,36 +12,36 @@ from ...data.table_records import Pair
 from ..knee import Osteophyte, other_compartment
 from .advanced_osteoarthritis import correlated_score, sample_advanced_fields, sample_central_osteophytes
 
-# Number of standard deviations to which standard scores are clipped.
+# Limit to which standard scores are clipped, in standard deviations.
 _TRUNCATION_SD = 2.5
-# Smallest osteophyte, in mm. Smaller ones cannot be distinguished from the natural rounding of the margin, and a pixel
-# of 0.15 mm does not show them.
+# Smallest osteophyte, in mm. A pixel of 0.15 mm does not show smaller osteophytes, and they cannot be distinguished
+# from the natural rounding of the margin.
 _MIN_OSTEOPHYTE_MM = 0.2
 
 
 def sample_severity_fields(
     table: SeverityGradeTable, grade: int, sex: str, bone_scale: float, rng: np.random.Generator
 ) -> dict[str, Any]:
-    """Sample the fields of a knee that depend on its KL grade and severity.
+    """Sample the knee fields that depend on KL grade and latent severity.
 
     Parameters
     ----------
     table : SeverityGradeTable
-        Grade table.
+        Grade table with the distributions of the sampled fields.
     grade : int
         KL grade of the knee.
     sex : {"male", "female"}
-        Sex, on which the joint spaces depend.
+        Sex, which affects the joint space widths.
     bone_scale : float
-        Sampled size of the bones; it is multiplied by the factor of the grade.
+        Sampled relative bone size, which is multiplied by a factor for the grade.
     rng : numpy.random.Generator
         Generator with its own random stream.
 
     Returns
     -------
     dict of str to object
-        Fields of a `Knee`: joint spaces and their definition, subchondral bone plate, varus, age, bone scale,
-        osteophytes, reader grade, and the fields of `sample_advanced_fields`.
+        Sampled values keyed by `Knee` field: joint spaces and their definition, subchondral bone plate, varus, age,
+        bone scale, osteophytes, reader grade, and the fields of `sample_advanced_fields`.
     """
     severity = _truncate(rng.standard_normal())
     narrowed, other = ("medial", "lateral") if rng.random() < table.side.medial else ("lateral", "medial")
@@ -69,9 +69,10 @@ def sample_severity_fields(
 def _sample_joint_spaces_mm(
     table: SeverityGradeTable, grade: int, sex: str, narrowed_side: str, severity: float, rng: np.random.Generator
 ) -> list[float]:
-    """Sample the joint space widths in mm, first of the compartment that narrows, then of the other compartment.
+    """Sample the joint space widths of the narrowed and the other compartment, in this order, in mm.
 
-    The two widths correlate with each other. From KL 2 on, the first width also correlates with severity.
+    The two widths correlate with each other. At KL 2 and above, the width of the narrowed compartment also correlates
+    with severity.
     """
     laws = getattr(table.spaces, narrowed_side)[str(grade)]
     one, other = rng.standard_normal(2)
@@ -79,7 +80,7 @@ def _sample_joint_spaces_mm(
     scores = [one, together * one + np.sqrt(1 - together**2) * other]
     with_severity = table.side.severity_correlation if grade >= 2 else 0.0
     scores[0] = correlated_score(-severity, with_severity, scores[0])
-    # Half of the sex difference is added for men and subtracted for women, so that the table gives the mean of both
+    # Half of the sex difference is added for men and subtracted for women, because the table contains means of both
     # sexes.
     more = table.spaces.male_excess_mm * (0.5 if sex == "male" else -0.5)
     within = []
@@ -126,7 +127,7 @@ def _sample_curve_deg(law: OsteophyteDistributions, site: str, rng: np.random.Ge
 def _sample_adjacent_osteophytes(
     law: AccompanyingOsteophytes, site: str, size_mm: float, rng: np.random.Generator
 ) -> list[tuple[str, float, float]]:
-    """Sample osteophytes in front of and behind a given one at the same margin; return site, size (mm) and place."""
+    """Sample osteophytes in front of and behind an osteophyte at the same margin; return site, size (mm) and place."""
     beside = []
     for end in (-1.0, 1.0):
         there, share, place = rng.random() < law.share, rng.uniform(*law.size), rng.uniform(*law.place)
@@ -138,7 +139,7 @@ def _sample_adjacent_osteophytes(
 def _sample_oarsi_grades(
     law: OsteophyteDistributions, grade: int, narrowed_side: str, severity: float, rng: np.random.Generator
 ) -> dict[str, int]:
-    """Sample the OARSI grade of the osteophyte at each site, consistent with the definition of the KL grade."""
+    """Sample the OARSI osteophyte grade at each site, consistent with the definition of the KL grade."""
     person = law.person_sd * rng.standard_normal() + severity
     latent = {}
     for site, offset in law.site.items():
@@ -152,32 +153,32 @@ def _sample_oarsi_grades(
 
 
 def sample_reader_grade(grade: int, kappa: float, grade_count: int, rng: np.random.Generator) -> int:
-    """Sample the KL grade that a reader gives: the true grade or an adjacent grade.
+    """Sample the KL grade that a reader assigns: the true grade or an adjacent grade.
 
     Parameters
     ----------
     grade : int
         True KL grade.
     kappa : float
-        Unweighted Cohen's kappa between reader and true grades, for equally frequent grades.
+        Unweighted Cohen's kappa between assigned and true grades, for equally frequent true grades.
     grade_count : int
-        Number of grades.
+        Number of KL grades in the grade table.
     rng : numpy.random.Generator
-        Generator.
+        Generator; the only source of randomness.
 
     Returns
     -------
     int
-        KL grade that the reader gives.
+        KL grade that the reader assigns.
     """
     return int(
         rng.choice(grade_count, p=_confusion_matrix(_solve_misread_fraction(kappa, grade_count), grade_count)[grade])
     )
 
 
-@cache  # The reader is the same for all knees of a table.
+@cache  # All knees of a grade table have the same reader, so the solution is cached.
 def _solve_misread_fraction(kappa: float, grade_count: int) -> float:
-    """Find the fraction of knees with an adjacent reader grade that gives the requested kappa."""
+    """Find the fraction of knees graded one grade too low or too high that results in the requested kappa."""
     return (
         float(brentq(lambda share: _kappa(_confusion_matrix(share, grade_count)) - kappa, 0.0, 1.0))
         if kappa < 1
@@ -186,7 +187,7 @@ def _solve_misread_fraction(kappa: float, grade_count: int) -> float:
 
 
 def _confusion_matrix(misread_fraction: float, grade_count: int) -> Array:
-    """Compute the probability of each reader grade (columns) for each true grade (rows), shape (grades, grades)."""
+    """Compute the probabilities of assigned grades (columns) for true grades (rows), shape (grades, grades)."""
     table = np.eye(grade_count) * (1 - misread_fraction)
     for grade in range(grade_count):
         beside = [other for other in (grade - 1, grade + 1) if 0 <= other < grade_count]
@@ -195,14 +196,14 @@ def _confusion_matrix(misread_fraction: float, grade_count: int) -> Array:
 
 
 def _kappa(confusion: Array) -> float:
-    """Compute Cohen's kappa of a confusion matrix of probabilities, for equally frequent true grades (rows)."""
+    """Compute Cohen's kappa from a matrix of grade probabilities, for equally frequent true grades (rows)."""
     joint = confusion / len(confusion)
     by_chance = float(joint.sum(axis=0) @ joint.sum(axis=1))
     return (float(np.trace(joint)) - by_chance) / (1 - by_chance)
 
 
 def _sample_with_severity(severity: float, table: SeverityGradeTable, law: Pair, rng: np.random.Generator) -> float:
-    """Sample a normal distribution (mean, SD) that correlates with the severity."""
+    """Sample a value from a normal distribution (mean, SD) that correlates with severity."""
     return law[0] + law[1] * _truncate(
         correlated_score(severity, table.side.severity_correlation, rng.standard_normal())
     )

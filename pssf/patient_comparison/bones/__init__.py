@@ -1,1 +1,1 @@
-"""Comparison of simulated with patient bones: registration, surface distances, bone shape and figures."""
+"""Compare simulated with patient bones: registration, surface distances, shape measures and figures."""

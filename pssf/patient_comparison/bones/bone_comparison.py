@@ -1,4 +1,4 @@
-"""Comparison of simulated with patient bones: distance between mean bones, and spread about each mean."""
+"""Compare simulated with patient bones: distance between the mean bones, and spread about each mean bone."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,9 +30,9 @@ from .surface_distance import SampledSurface, measure_surface_distance, sample_s
 
 Row = dict[str, Any]
 Bones = Mapping[str, Sequence[Mesh]]
-# Number of alignment iterations when a mean bone is computed.
+# Number of alignment iterations in the computation of a mean bone.
 _MEAN_ITERATIONS = 3
-# Distance at the ends of the colour scale of the figure, in mm.
+# Distance at both ends of the colour scale of the figure, in mm.
 _COLOUR_LIMIT_MM = 6.0
 # Length of the distal femur within which the epicondylar width is measured, in mm.
 _FEMUR_END_MM = 45.0
@@ -45,14 +45,14 @@ _COLUMNS = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _BoneGroup:
-    """Bones of several knees by name, and the mean surface of each bone."""
+    """Bones of several knees, and the mean surface of every bone type, both keyed by bone name."""
 
     bones: Bones
     mean_surfaces: Mapping[str, SampledSurface]
 
 
 class _BoneDeviation(NamedTuple):
-    """RMS distance (mm), 99th percentile (mm) and scale of a bone relative to the mean bone; shape measures."""
+    """RMS distance (mm), 99th percentile distance (mm) and scale relative to the mean bone, and shape measures."""
 
     rms_p99_scale: tuple[float, float, float]
     bone_measures: dict[str, float]
@@ -65,15 +65,16 @@ class BoneComparison:
     Attributes
     ----------
     rows : list of dict
-        Table rows with surface distances in mm. Rows that compare mean bones have ``mean_mm`` (positive: the built
-        bone is outside) and ``scale`` (patient size divided by built size). Rows that report the spread of several
-        bones have the lowest and highest RMS distance of a bone, and ``scale_sd``.
+        Table rows with surface distances in mm. Rows that compare mean bones contain ``mean_mm`` (positive if the bone
+        of the default knee is outside the patient bone) and ``scale`` (patient size divided by the size of the default
+        knee). Rows that report the spread of several bones contain the lowest and highest RMS distance, and
+        ``scale_sd``.
     measure_rows : list of dict
-        Shape measures from ``compare_bone_measures``, for bones with two or more patient and two or more sampled bones.
+        Shape measures from ``compare_bone_measures``, for bone types with at least two patient and two sampled bones.
     fits : dict of str to BoneFit
-        Registration of each built mean bone to the mean patient bone, by bone name.
+        Registration of every bone of the default knee to the mean patient bone, keyed by bone name.
     figure : bytes
-        PNG image of the built mean bones, coloured by the distance from the mean patient bone.
+        PNG image of the bones of the default knee, coloured by the distance from the mean patient bone.
     """
 
     rows: list[Row]
@@ -83,19 +84,19 @@ class BoneComparison:
 
 
 def build_bones(knee: Knee, tables: AnatomyTables) -> dict[str, Mesh]:
-    """Build femur, tibia and patella of a right knee without osteophytes, each in the frame of the bone.
+    """Build the femur, tibia and patella of a right knee without osteophytes, each in its bone coordinate frame.
 
     Parameters
     ----------
     knee : Knee
         Knee to build.
     tables : AnatomyTables
-        Anatomy tables.
+        Anatomy tables from which bones are built.
 
     Returns
     -------
     dict of str to Mesh
-        Bones by name, in mm.
+        Meshes in mm, keyed by bone name.
     """
     build = resolve_bone_parameters(replace(knee, osteophytes=(), grade=None, grade_table=None), tables)
     femur, tibia = (extract_mesh(bone.outer) for bone in (build.template_femur, build.template_tibia))
@@ -109,25 +110,25 @@ def build_bones(knee: Knee, tables: AnatomyTables) -> dict[str, Mesh]:
 def sample_bones(
     laws: KneeDistributions, tables: AnatomyTables, count: int, seed: int, workers: int = 1
 ) -> dict[str, list[Mesh]]:
-    """Sample knees and build their bones without osteophytes; knee k does not depend on `count`.
+    """Sample knees and build their bones without osteophytes; the parameters of knee k do not depend on `count`.
 
     Parameters
     ----------
     laws : KneeDistributions
-        Distributions of knees; the grades are assigned to the knees cyclically.
+        Distributions from which knees are sampled; the KL grades cycle through the grade table.
     tables : AnatomyTables
-        Anatomy tables.
+        Anatomy tables from which bones are built.
     count : int
         Number of knees, 2 or more.
     seed : int
-        Seed of the sampling.
+        Seed of the random knees.
     workers : int, default 1
         Number of worker processes.
 
     Returns
     -------
     dict of str to list of Mesh
-        Bones by name, in mm.
+        Meshes in mm, keyed by bone name.
 
     Raises
     ------
@@ -141,7 +142,7 @@ def sample_bones(
 
 
 def compute_mean_bone(meshes: Sequence[Mesh], bone: str) -> Mesh:
-    """Compute the mean of several bones at their mean size, in the frame of the first bone.
+    """Compute the mean shape of several bones at their mean size, in the coordinate frame of the first bone.
 
     Parameters
     ----------
@@ -166,7 +167,7 @@ def compute_mean_bone(meshes: Sequence[Mesh], bone: str) -> Mesh:
     1975). Otherwise each vertex of the first bone is moved to the mean of the nearest points on all bones.
     """
     if not meshes:
-        raise InputError(f"number of bones for {bone} must be 1 or more, got 0")
+        raise InputError(f"number of {bone} meshes must be 1 or more, got 0")
     first = meshes[0]
     same = all(mesh.faces.shape == first.faces.shape and np.array_equal(mesh.faces, first.faces) for mesh in meshes)
     vertices = _procrustes_mean(meshes) if same else _nearest_point_mean(meshes, bone)
@@ -174,23 +175,23 @@ def compute_mean_bone(meshes: Sequence[Mesh], bone: str) -> Mesh:
 
 
 def compare_bones(patient_bones: Bones, built: Mapping[str, Mesh], drawn: Bones, workers: int = 1) -> BoneComparison:
-    """Compare the built mean bones and the sampled bones with patient bones, for each bone type.
+    """Compare the bones of the default knee and of sampled knees with patient bones.
 
     Parameters
     ----------
     patient_bones : mapping of str to sequence of Mesh
-        Patient bones by name, in mm.
+        Meshes of patient bones in mm, keyed by bone name.
     built : mapping of str to Mesh
-        Built mean bones by name, in mm.
+        Meshes of the default knee in mm (built mean), keyed by bone name.
     drawn : mapping of str to sequence of Mesh
-        Sampled bones by name, in mm.
+        Meshes of sampled knees in mm, keyed by bone name.
     workers : int, default 1
         Number of worker processes.
 
     Returns
     -------
     BoneComparison
-        Distances, shape measures, registrations and figure.
+        Surface distances, shape measures, registrations and figure.
 
     Raises
     ------
@@ -200,9 +201,9 @@ def compare_bones(patient_bones: Bones, built: Mapping[str, Mesh], drawn: Bones,
     Notes
     -----
     Distances are measured between the surfaces in both directions after similarity registration, in mm at the mean size
-    of the patient bones. The flat cut of a shaft is excluded. Spread is the distance of each bone from a mean bone:
-    patient bones from the mean patient bone, sampled bones from the built mean bone. Shape measures are computed after
-    registration to the built mean bone.
+    of the patient bones. The flat cut of a shaft is excluded. The spread is the distance of patient bones from the mean
+    patient bone, and of sampled bones from the bone of the default knee. Shape measures are computed after registration
+    to the bone of the default knee.
     """
     names = [name for name in BONES if patient_bones.get(name)]
     if not names:
@@ -245,20 +246,20 @@ def compare_bones(patient_bones: Bones, built: Mapping[str, Mesh], drawn: Bones,
 
 
 def _scale_built_bone(built: Mesh, fit: BoneFit, name: str) -> Mesh:
-    """Transform a built bone near its joint to the size and pose of the mean patient bone."""
+    """Crop a bone of the default knee near the joint, and register it to the mean patient bone."""
     near = crop_near_joint(built, name)
     return Mesh(fit.fit.apply(near.vertices), near.faces)
 
 
 def _make_mean_row(name: str, count: int, built: SampledSurface, patient_mean: SampledSurface, fit: BoneFit) -> Row:
-    """Make the table row with the distance between the built mean bone and the mean patient bone."""
+    """Make the table row for the distance between the bone of the default knee and the mean patient bone."""
     both = measure_surface_distance(built, patient_mean, heights_mm=fit.heights_mm)
     row = {"bone": name, "comparison": "built mean to patient mean", "bones": count, "rms_mm": both.rms_mm}
     return row | {"p99_mm": both.p99_mm, "mean_mm": both.mean_mm, "scale": fit.fit.scale}
 
 
 def _make_spread_row(bones: Sequence[_BoneDeviation]) -> Row:
-    """Make the table row with the spread of several bones about a mean bone."""
+    """Make the table row for the spread of several bones about their mean bone."""
     rms, p99, scale = np.array([bone.rms_p99_scale for bone in bones]).T
     return {
         "bones": len(bones),
@@ -271,13 +272,13 @@ def _make_spread_row(bones: Sequence[_BoneDeviation]) -> Row:
 
 
 def _patella_to_femur_width_ratios(bones: Bones) -> list[dict[str, float]]:
-    """Compute the ratio of patellar to femoral width of each knee; the two bone lists have the same order of knees."""
+    """Compute the ratio of patellar to femoral width for every knee; both bone lists have the same knee order."""
     return [{"patella's width over the femur's": _width_mm(patella) / _width_mm(femur, _FEMUR_END_MM)}
             for femur, patella in zip(bones["femur"], bones["patella"], strict=True)]  # fmt: skip
 
 
 def _width_mm(bone: Mesh, low_mm: float = np.inf) -> float:
-    """Measure the width of a bone within `low_mm` of its lowest point, in mm."""
+    """Measure the mediolateral width of a bone within `low_mm` of the lowest point, in mm."""
     height = bone.vertices[:, 2] - bone.vertices[:, 2].min()
     return float(np.ptp(bone.vertices[height < low_mm, 0]))
 
@@ -287,7 +288,7 @@ def _measure_deviation(
     centres: Mapping[tuple[str, str], SampledSurface],
     models: Mapping[str, SampledSurface],
 ) -> _BoneDeviation:
-    """Measure the deviation of one bone from the mean bone, and the shape measures of the bone."""
+    """Measure the deviation of a bone from the mean bone, and its shape measures."""
     what, name, bone = task
     surface, centre = sample_surface(crop_near_joint(bone, name)), centres[what, name]
     fit = register_bone(surface, centre, name)
@@ -302,14 +303,14 @@ def _procrustes_mean(meshes: Sequence[Mesh]) -> Array:
         moves = [trimesh.registration.procrustes(mesh.vertices, mean, reflection=False)[:2] for mesh in meshes]
         scales = [np.cbrt(np.linalg.det(matrix[:3, :3])) for matrix, _ in moves]
         average = np.mean([moved for _, moved in moves], axis=0)
-        # The sizes of the bones are averaged too, because Procrustes alignment alone keeps the size of the first bone.
+        # The bone sizes are also averaged, because Procrustes alignment scales all bones to the size of the first bone.
         middle = average.mean(axis=0)
         mean = middle + (average - middle) / np.exp(np.mean(np.log(scales)))
     return mean
 
 
 def _nearest_point_mean(meshes: Sequence[Mesh], bone: str) -> Array:
-    """Move each vertex of the first bone to the mean of the nearest points on all bones; return (v, 3) array in mm."""
+    """Move each vertex of the first bone to the mean of the nearest points on all bones; return (v, 3), in mm."""
     mean = np.array(meshes[0].vertices, np.float64)
     surfaces = [sample_surface(mesh) for mesh in meshes]
     for _ in range(_MEAN_ITERATIONS - 1):

@@ -1,4 +1,4 @@
-"""Figure of built mean bones, coloured by the distance from the mean patient bone."""
+"""Plot the bones of the default knee, coloured by the distance from the mean patient bone."""
 
 import io
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from ...core.checks import Array
 from ...geometry.mesh import Mesh
 
-# Upward direction and direction towards the viewer, by title of the view; axes are x medial, y posterior, z proximal.
+# Upward direction and direction towards the viewer for each view; axes are x medial, y posterior, z proximal.
 _VIEWS = {
     "anterior view": ((0, 0, 1), (0, -1, 0)),
     "posterior view": ((0, 0, 1), (0, 1, 0)),
@@ -23,14 +23,14 @@ _UPPER_END_VIEW = ((0, -1, 0), (0, 0, 1))
 
 
 def plot_bone_distances(bones: Mapping[str, tuple[Mesh, Array]], limit_mm: float) -> bytes:
-    """Plot each bone in four views, coloured by distance.
+    """Plot every bone in four views, coloured by the distance from the mean patient bone.
 
     Parameters
     ----------
     bones : mapping of str to tuple of (Mesh, (n,) array)
-        Mesh in mm and signed vertex distances from the mean patient bone in mm (positive outside), by bone name.
+        Mesh in mm and signed vertex distances from the mean patient bone in mm (positive outside), keyed by bone name.
     limit_mm : float
-        Distance at the ends of the colour scale, in mm.
+        Distance at both ends of the colour scale, in mm.
 
     Returns
     -------
@@ -51,25 +51,25 @@ def plot_bone_distances(bones: Mapping[str, tuple[Mesh, Array]], limit_mm: float
             axis.autoscale()
             axis.set(aspect="equal", xticks=[], yticks=[], title=f"{name}, {title}")
             axis.set_frame_on(False)
-    figure.colorbar(colours, ax=axes, shrink=0.6, label="distance of the built bone from the patient mean (mm)")
+    figure.colorbar(colours, ax=axes, shrink=0.6, label="distance from the mean patient bone (mm)")
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=90, metadata={"Software": None})
     return stream.getvalue()
 
 
 def make_visible_triangles(mesh: Mesh, off_mm: Array, view_axes: Array, colours: ScalarMappable) -> PolyCollection:
-    """Make a collection of the triangles that face the viewer, sorted from far to near and shaded by orientation.
+    """Collect the triangles that face the viewer, sorted from far to near and shaded by orientation.
 
     Parameters
     ----------
     mesh : Mesh
-        Mesh, in mm.
+        Mesh to plot, in mm.
     off_mm : (n,) array
         Distance of each vertex in mm, displayed as colour.
     view_axes : (3, 3) array, unit vectors
-        Directions to the right, upwards and towards the viewer.
+        Directions to the right, upwards and towards the viewer, as rows.
     colours : matplotlib.cm.ScalarMappable
-        Colour scale.
+        Colour scale for the distances.
 
     Returns
     -------

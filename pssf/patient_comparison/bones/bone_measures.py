@@ -1,4 +1,4 @@
-"""Shape measures of patient bones and sampled bones, in a common frame and at a common size."""
+"""Compute shape measures of patient and sampled bones in a common frame and at a common size."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -30,7 +30,7 @@ def measure_bone(surface: SampledSurface, model: SampledSurface, bone: str) -> d
     Returns
     -------
     dict of str to float
-        Shape measures by name.
+        Shape measures keyed by measure name.
     """
     fit, near = register_bone(surface, model, bone), surface.mesh
     laid = Mesh(fit.apply(near.vertices), near.faces)

@@ -1,4 +1,4 @@
-"""Similarity registration of two bones of the same type by the end at the joint, without the flat cut of the shaft."""
+"""Register two bones of the same type by a similarity transform of the joint end, excluding the cut of the shaft."""
 
 from dataclasses import dataclass
 
@@ -18,11 +18,11 @@ from .surface_distance import (
 BONES = ("femur", "tibia", "patella")
 # End of each bone at the knee joint: +1 proximal, -1 distal; 0 for the patella, which has no cut shaft.
 _JOINT_END = {"femur": -1, "tibia": +1, "patella": 0}
-# Distance from the joint end within which bones are compared, in mm.
+# Largest distance from the joint end at which bones are compared, in mm.
 _REACH_MM = 100.0
-# Distance from the cut of the shaft that is excluded, in mm, because the cut plane is not a surface of the bone.
+# Length of shaft next to the cut that is excluded, in mm, because the cut plane is not a bone surface.
 _FROM_CUT_MM = 5.0
-# Length of the joint end whose bounding box gives the initial transform, in mm.
+# Length of the joint end whose bounding box defines the initial transform, in mm.
 _END_MM = 40.0
 # Distance from the joint end beyond which a bone is cropped, in mm; large enough for bones of any size.
 _KEPT_MM = 140.0
@@ -30,18 +30,18 @@ _KEPT_MM = 140.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BoneFit:
-    """Built mean bone registered to the mean patient bone.
+    """Bone of the default knee, registered to the mean patient bone.
 
     Attributes
     ----------
     placed_mesh : Mesh
-        Registered bone, trimmed to the compared heights, in mm.
+        Mesh of the registered bone, trimmed to the compared heights, in mm.
     off_mm : (n,) array
         Signed distance of each vertex of `placed_mesh` from the mean patient bone, in mm; positive outside.
     fit : SimilarityTransform
-        Transform from the built bone to the mean patient bone.
+        Transform from the bone of the default knee to the mean patient bone.
     heights_mm : tuple of float
-        Lower and upper height between which the bones are compared, in mm.
+        Lower and upper limit of the compared heights, in mm.
     """
 
     placed_mesh: Mesh
@@ -51,14 +51,14 @@ class BoneFit:
 
 
 def fit_bone(bone: Mesh, fixed: SampledSurface, name: str) -> BoneFit:
-    """Register a bone to another bone of the same type and measure the distances of the vertices.
+    """Register a bone to another bone of the same type, and measure the distances of its vertices.
 
     Parameters
     ----------
     bone : Mesh
         Bone to register, in mm.
     fixed : SampledSurface
-        Bone to which the other bone is registered.
+        Fixed bone, to which the other bone is registered.
     name : {"femur", "tibia", "patella"}
         Bone type, which defines the joint end.
 
@@ -84,7 +84,7 @@ def register_bone(moving: SampledSurface, fixed: SampledSurface, name: str) -> S
     moving : SampledSurface
         Bone to register.
     fixed : SampledSurface
-        Bone to which the other bone is registered.
+        Fixed bone, to which the other bone is registered.
     name : {"femur", "tibia", "patella"}
         Bone type.
 
@@ -99,7 +99,7 @@ def register_bone(moving: SampledSurface, fixed: SampledSurface, name: str) -> S
 
 
 def compared_heights_mm(bone: Mesh, name: str) -> tuple[float, float]:
-    """Return the heights (z) between which a bone is compared: up to 100 mm from the joint, 5 mm away from a cut.
+    """Return the range of heights (z) that are compared: within 100 mm of the joint, and 5 mm or more from a cut.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def compared_heights_mm(bone: Mesh, name: str) -> tuple[float, float]:
     Returns
     -------
     tuple of float
-        Lower and upper height in mm; infinite at an end where nothing is excluded.
+        Lower and upper height in mm; infinite if an end is not excluded.
     """
     low, high = bone.vertices[:, 2].min(), bone.vertices[:, 2].max()
     if _JOINT_END[name] < 0:
@@ -122,7 +122,7 @@ def compared_heights_mm(bone: Mesh, name: str) -> tuple[float, float]:
 
 
 def crop_near_joint(bone: Mesh, name: str) -> Mesh:
-    """Remove the shaft beyond 140 mm from the joint, to save computation time.
+    """Crop the shaft of a bone 140 mm from the joint end, to save computation time.
 
     Parameters
     ----------
@@ -147,7 +147,7 @@ def crop_near_joint(bone: Mesh, name: str) -> Mesh:
 
 
 def _guess_similarity(bone: Mesh, fixed: Mesh, name: str) -> SimilarityTransform:
-    """Compute an initial similarity transform, without rotation, that matches width and position of the joint ends."""
+    """Compute an initial transform without rotation that matches the width and position of the joint ends."""
     box, box_onto = _joint_end_box(bone, name), _joint_end_box(fixed, name)
     scale = float(np.ptp(box_onto[:, 0]) / np.ptp(box[:, 0]))
     middle, middle_onto = box.mean(axis=0), box_onto.mean(axis=0)
@@ -158,7 +158,7 @@ def _guess_similarity(bone: Mesh, fixed: Mesh, name: str) -> SimilarityTransform
 
 
 def _joint_end_box(mesh: Mesh, name: str) -> Array:
-    """Return the lower and upper corner, (2, 3), of the bounding box of a joint end, in mm."""
+    """Return the bounding box of a joint end as lower and upper corner, (2, 3), in mm."""
     points, end = mesh.vertices, _JOINT_END[name]
     if end:
         outward = points[:, 2] * end

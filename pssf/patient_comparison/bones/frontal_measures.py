@@ -1,4 +1,4 @@
-"""Shape measures of femur and tibia on their frontal outline in parallel projection.
+"""Compute shape measures of femur and tibia from their frontal outlines in parallel projection.
 
 Bones are in the frame of the template bone, before posture is applied: x medial, y posterior, z proximal, in mm.
 """
@@ -13,7 +13,7 @@ from .shape_measures import femur_width_mm, is_between, tibia_width_mm
 
 # Distance between neighbouring columns of an outline, in mm.
 _PITCH_MM = 0.5
-# Number of columns on either side of the midline.
+# Number of outline columns on each side of the midline.
 _COLUMNS = 90
 # Posterior slope of the tibial plateau, in degrees. The tibia is projected parallel to the plateau, and the femur
 # horizontally.
@@ -78,7 +78,7 @@ def _measure_tibia(mesh: Mesh) -> dict[str, float]:
 
 
 def _project_outline(mesh: Mesh, slope_deg: float, end_sign: float) -> tuple[Array, Array]:
-    """Project the distal (`end_sign` -1) or proximal (+1) outline of a bone.
+    """Compute the projected distal (`end_sign` -1) or proximal (+1) outline of a bone.
 
     `slope_deg` is the slope of the projection direction. Return column positions (n,) and heights (n,), in mm.
     """
@@ -90,7 +90,7 @@ def _project_outline(mesh: Mesh, slope_deg: float, end_sign: float) -> tuple[Arr
 
 
 def _run_length_around(x: Array, inside: np.ndarray, place: float) -> float:
-    """Measure the length of the interval of consecutive columns with `inside` true that contains `place`, in mm."""
+    """Measure the length of the run of true values in `inside` that contains the position `place`, in mm."""
     at = int(np.abs(x - place).argmin())
     outside = np.flatnonzero(~inside)
     low, high = outside[outside < at].max(initial=0), outside[outside > at].min(initial=len(x) - 1)

@@ -1,4 +1,4 @@
-"""Shape measures of femur, tibia and patella; shape modes are named after these measures.
+"""Compute shape measures of femur, tibia and patella, after which the shape modes are named.
 
 Bones are in the frame of the template bone, before posture is applied: x medial, y posterior, z proximal, in mm.
 """
@@ -17,7 +17,7 @@ _CELL_MM = 3.0
 
 
 def is_between(values: Array, low: float, high: float) -> _Mask:
-    """Report which values are between two limits.
+    """Return which values are between two limits.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def _span(values: Array) -> float:
 
 
 def _cell_means(points: Array) -> tuple[Array, Array]:
-    """Average y and z of points (n, 3) over square cells in x and y, so that mesh density has no effect.
+    """Average the y and z coordinates of points (n, 3) in square xy cells, so that mesh density has no effect.
 
     Return the mean y and the mean z of m occupied cells, (m,) each, in mm.
     """
@@ -210,7 +210,7 @@ def measure_bones(bones: dict[str, Mesh]) -> dict[str, float]:
     Parameters
     ----------
     bones : dict of str to Mesh
-        Bones by name, in mm.
+        Meshes in mm, keyed by bone name.
 
     Returns
     -------

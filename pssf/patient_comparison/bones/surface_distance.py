@@ -1,4 +1,4 @@
-"""Distances between two surfaces, and the similarity transform that registers one surface to the other."""
+"""Measure distances between two surfaces, and register one surface to the other by a similarity transform."""
 
 from dataclasses import dataclass
 
@@ -15,16 +15,17 @@ from ...geometry.mesh import Mesh
 POINTS = 4000
 # Number of points per surface for registration.
 FIT_POINTS = 1000
-# Maximum mesh edge length, in mm. With short edges, the nearest triangle is among those with the nearest centres. On
-# simulated and patient bones (Clouthier et al. 2019) the error is at most 0.012 mm, and 0.0004 mm RMS.
+# Maximum mesh edge length, in mm. With short edges, the nearest triangle is almost always one of the triangles with the
+# nearest centres. The distance error on simulated and patient bones (Clouthier et al. 2019) is at most 0.012 mm, and
+# 0.0004 mm RMS.
 _MAX_EDGE_MM = 3.0
-# Number of candidate triangles tested for each point: those with the nearest centres.
+# Number of triangles with the nearest centres that are tested for each point.
 _CANDIDATES = 8
 # Maximum number of Gauss-Newton steps.
 _STEPS = 40
-# Registration ends when a step moves the points less than this RMS displacement, in mm.
+# Registration ends when the RMS displacement of the points in one step is below this limit, in mm.
 _STILL_MM = 2e-3
-# Point pairs closer than this distance, in mm, coincide; the surface normal replaces the direction between them.
+# Distance below which two points coincide, in mm. The surface normal replaces the direction between coincident points.
 _TOUCHING_MM = 1e-9
 
 
@@ -140,7 +141,7 @@ class SurfaceDistance:
         Signed distances of `moved_points_mm` from the fixed surface, in mm; positive outside the fixed surface.
     backward_mm : (m,) array
         Signed distances of points of the fixed surface from the moved surface, in mm; positive where the moved surface
-        is outside the fixed one.
+        is outside the fixed surface.
     """
 
     moved_points_mm: Array
@@ -159,7 +160,7 @@ class SurfaceDistance:
 
     @property
     def mean_mm(self) -> float:
-        """Mean signed distance in mm; positive where the moved surface is outside the fixed one on average."""
+        """Mean signed distance in mm; positive if the moved surface is, on average, outside the fixed surface."""
         return float(self.all_mm.mean())
 
     @property
@@ -178,7 +179,7 @@ def sample_surface(mesh: Mesh, points: int = POINTS, seed: int = 0) -> SampledSu
     points : int, default POINTS
         Number of points sampled uniformly by area.
     seed : int, default 0
-        Seed of the sampling.
+        Seed of the random surface points.
 
     Returns
     -------
@@ -217,9 +218,9 @@ def trim_to_heights(mesh: Mesh, low_mm: float, high_mm: float) -> Mesh:
     mesh : Mesh
         Mesh, in mm.
     low_mm : float
-        Lower height in mm; ``-inf`` does not cut.
+        Lower height limit in mm; ``-inf`` means no lower limit.
     high_mm : float
-        Upper height in mm; ``inf`` does not cut.
+        Upper height limit in mm; ``inf`` means no upper limit.
 
     Returns
     -------
@@ -229,7 +230,7 @@ def trim_to_heights(mesh: Mesh, low_mm: float, high_mm: float) -> Mesh:
     Raises
     ------
     InputError
-        The mesh has no faces between the heights.
+        The mesh has no faces between the height limits.
     """
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     for height, up in ((low_mm, 1.0), (high_mm, -1.0)):
@@ -249,9 +250,10 @@ def fit_similarity(
     heights_mm: tuple[float, float] = (-np.inf, np.inf),
     points: int = FIT_POINTS,
 ) -> SimilarityTransform:
-    """Fit the similarity transform with the least squared distances between two surfaces, in both directions.
+    """Fit the similarity transform that minimises the squared distances between two surfaces in both directions.
 
-    Distances are minimised by Gauss-Newton steps (after Fitzgibbon 2003). The initial transform must be close.
+    Distances are minimised by Gauss-Newton steps (after Fitzgibbon 2003). The initial transform must be close to the
+    solution.
 
     Parameters
     ----------
@@ -264,7 +266,7 @@ def fit_similarity(
     heights_mm : tuple of float
         Lower and upper height of `fixed` between which distances are minimised, in mm.
     points : int, default FIT_POINTS
-        Number of points per surface.
+        Number of points on each surface.
 
     Returns
     -------
@@ -274,7 +276,7 @@ def fit_similarity(
     Raises
     ------
     InputError
-        One of the surfaces has no point between the heights.
+        One of the surfaces has no points within `heights_mm`.
     """
     fit = start
     target = fixed.points_mm[:points]
@@ -283,8 +285,8 @@ def fit_similarity(
         placed = fit.apply(moving.points_mm[:points])
         placed = placed[_is_between_heights(placed, heights_mm)]
         if not len(placed) or not len(target):
-            what = f"{len(placed)} and {len(target)} points within {heights_mm[0]:g} to {heights_mm[1]:g} mm"
-            raise InputError(f"surfaces must overlap in height, got {what}")
+            what = f"{len(placed)} and {len(target)} points at {heights_mm[0]:g} to {heights_mm[1]:g} mm"
+            raise InputError(f"surfaces must overlap within heights_mm, got {what}")
         there, outward = fixed.find_nearest(placed)
         here, own = moving.find_nearest(fit.apply_inverse(target))
         moved = np.vstack((placed, fit.apply(here)))
@@ -332,12 +334,12 @@ def measure_surface_distance(
 
 
 def _is_between_heights(points: Array, heights_mm: tuple[float, float]) -> NDArray[np.bool_]:
-    """Report which points (n, 3) are between two heights."""
+    """Return which points (n, 3) are between two heights."""
     return (points[:, 2] > heights_mm[0]) & (points[:, 2] < heights_mm[1])
 
 
 def _signed_lengths(away: Array, normals: Array) -> Array:
-    """Compute the signed lengths (n,) of vectors (n, 3); the sign is that of the component along the normals (n, 3)."""
+    """Compute the lengths (n,) of vectors (n, 3), negative for vectors opposite to the normals (n, 3)."""
     return np.linalg.norm(away, axis=1) * np.where((away * normals).sum(axis=1) < 0, -1.0, 1.0)
 
 
@@ -350,7 +352,7 @@ def _gauss_newton_step(
     away = wanted - moved
     off = np.linalg.norm(away, axis=1)
     apart = off > _TOUCHING_MM
-    # At a mesh edge, the direction to the nearest point differs from the normals of both adjacent triangles.
+    # The direction to the nearest point is used instead of the triangle normal, because they differ at mesh edges.
     ways = np.where(apart[:, None], away / np.where(apart, off, 1.0)[:, None], normals)
     columns = np.column_stack((np.cross(arm, ways), ways, (arm * ways).sum(axis=1)))
     # A symmetric surface, such as a sphere, has no unique pose; the minimum-norm solution does not rotate it.

@@ -1,1 +1,1 @@
-"""Comparison of contour landmarks of simulated knees with published landmarks of patients."""
+"""Compare contour landmarks of simulated knees with published landmarks of patients."""

@@ -1,4 +1,4 @@
-"""Contour landmarks of the radiographs in a cohort folder."""
+"""Load the contour landmarks of the radiographs in a cohort folder."""
 
 from pathlib import Path
 
@@ -11,24 +11,24 @@ from .landmark_comparison import LandmarkSample, convert_landmarks_to_mm
 
 
 def load_cohort_landmarks(cohort: Path, protocol: str) -> LandmarkSample:
-    """Load the landmark labels of all radiographs of a cohort under one protocol.
+    """Load the landmark labels of all cohort radiographs that were simulated with one protocol.
 
     Parameters
     ----------
     cohort : Path
         Cohort folder.
     protocol : str
-        Name of the protocol, as in the manifest.
+        Protocol name in the cohort manifest.
 
     Returns
     -------
     LandmarkSample
-        Landmarks and grades.
+        Contour landmarks and KL grades.
 
     Raises
     ------
     InputError
-        The folder contains no complete cohort or no radiograph under `protocol`, or a radiograph has no grade.
+        The folder contains no complete cohort or no radiograph with `protocol`, or a radiograph has no grade.
     """
     manifest = cohort / "manifest.csv"
     if not manifest.exists():
@@ -42,7 +42,7 @@ def load_cohort_landmarks(cohort: Path, protocol: str) -> LandmarkSample:
         made = load_parameters(cohort / row["file"])
         knee, truth = made["knee"], made["truth"]
         if knee is None or truth is None or truth.grade is None:
-            raise InputError(f"grade of every radiograph must be known, got none in file {row['file']}")
+            raise InputError(f"grade of every radiograph must be known, got no grade for file {row['file']}")
         places.append(convert_landmarks_to_mm(truth.landmarks_px, knee.side, made["protocol"].pixel_mm))
         grades.append(truth.grade)
     return LandmarkSample(landmarks_mm=np.array(places), grades=np.array(grades))

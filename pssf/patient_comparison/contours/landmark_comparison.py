@@ -1,4 +1,4 @@
-"""Comparison of contour landmarks between simulated knees and patients: mean, spread, variation modes, joint gaps.
+"""Compare contour landmarks of simulated knees and patients: means, SDs, modes of variation and joint gaps.
 
 Landmarks are in the frame of ``data/landmarks.toml``, as fractions of the plateau width. The x axis points from the
 lateral to the medial plateau edge, and both edges are at y = 0. Gaps and widths are in mm at the detector.
@@ -28,22 +28,22 @@ from ..checkpoint import RowCallback, RowCheckpoint
 from . import landmark_figure
 
 Row = dict[str, Any]
-# Maximum difference between the means of simulated knees and patients, in standard deviations of patients.
+# Tolerance for the difference between simulated and patient means, in patient standard deviations.
 MEAN_WITHIN_SD = 0.5
-# Range of the standard deviation of simulated knees, divided by that of patients.
+# Tolerance range for the simulated standard deviation, divided by the patient standard deviation.
 SPREAD_WITHIN = (0.7, 1.4)
-# Landmarks that define the coordinate frame.
+# Plateau edge landmarks, which define the coordinate frame.
 EDGE_LANDMARKS = tuple(name for name in CONTOUR_LANDMARKS if name.endswith("_edge"))
-# Columns of the landmark table, which has one row per knee.
+# Coordinate columns of the landmark table, which has one row per knee.
 _COLUMNS = tuple(f"{name}_{axis}_mm" for name in CONTOUR_LANDMARKS for axis in "xy")
 # Indices of the tibial landmarks.
 _TIBIA = slice(0, 9)
 # Indices of the femoral landmarks.
 _FEMUR = slice(9, 16)
-# Positions at which the minimum joint gap is searched, as fractions of the femoral width from the femoral edge.
+# Positions at which the minimum joint gap is searched: distance from the femoral edge as a fraction of femoral width.
 _GAP_FRACTIONS = np.linspace(0.1, 0.3, 81)
 _NAMED_GAP_FRACTIONS = {"0150": 0.15, "0200": 0.2, "0250": 0.25, "0300": 0.3}
-# Key of the random stream for acquisitions, different from the keys in `comparison_run`.
+# Key of the random stream for acquisitions; `comparison_run` uses other keys.
 _ACQUISITION_STREAM = 303
 
 
@@ -54,9 +54,9 @@ class LandmarkSample:
     Parameters
     ----------
     landmarks_mm : (n, 16, 2) array
-        Landmarks at the detector in the order of ``CONTOUR_LANDMARKS``, x medial and y proximal, in mm.
+        Landmark positions at the detector in mm, x medial and y proximal, in the order of ``CONTOUR_LANDMARKS``.
     grades : (n,) array
-        Grade of each knee.
+        KL grade of each knee.
     """
 
     landmarks_mm: Array
@@ -73,20 +73,20 @@ class ContourComparison:
         One row per grade, landmark and axis: ``knees``, ``simulated_mean``, ``patient_mean``,
         ``difference_sd``, ``mean_inside``, ``simulated_sd``, ``patient_sd``, ``sd_ratio`` and ``sd_inside``.
     sizes : list of dict
-        One row per grade and quantity (plateau width, gaps, convergence). The columns are those of `landmarks`, with
-        ``quantity`` instead of landmark and axis.
+        One row per grade and quantity (plateau width, gaps, convergence). The columns are the same as in `landmarks`,
+        except that ``quantity`` replaces landmark and axis.
     gap_auc : list of dict
-        AUC of the smaller minimum gap of each grade against grade 0, for simulated knees (``auc``, ``low``, ``high``)
-        and patients (``patient_auc``, ``patient_auc_low``, ``patient_auc_high``); empty without grade 0.
+        AUC of the smaller compartment gap for each grade against grade 0, for simulated knees (``auc``, ``low``,
+        ``high``) and patients (``patient_auc``, ``patient_auc_low``, ``patient_auc_high``); empty without grade 0.
     outside : list of dict
-        One row per grade: number of means and standard deviations of landmark heights outside tolerance
-        (``outside``), and their total number (``total``). Plateau edges are not counted.
+        One row per grade: the number of means and standard deviations of landmark heights (``total``), and how many of
+        them are outside the tolerance (``outside``). Plateau edges are not counted.
     modes : list of dict
-        Modes of variation of grades 0 and 1: ``mode``, ``simulated_variance_fraction``,
+        Modes of landmark variation in grades 0 and 1: ``mode``, ``simulated_variance_fraction``,
         ``patient_variance_fraction``, ``cosine``, ``nearest``, ``nearest_cosine``, ``simulated_sd`` and ``patient_sd``.
-        The two standard deviations are along the mode of patients. The list is empty for fewer than three knees.
+        Both standard deviations are along the patient mode. The list is empty for fewer than three knees.
     figure : bytes
-        PNG image of mean contours with ellipses of one standard deviation.
+        PNG image of the mean contours with one-SD ellipses.
     """
 
     landmarks: list[Row]
@@ -100,21 +100,21 @@ class ContourComparison:
 def sample_acquisitions(
     knees: Sequence[Knee], sample_protocol: Callable[..., Protocol], seed: int
 ) -> list[tuple[Knee, Protocol]]:
-    """Sample one acquisition for each knee.
+    """Sample one acquisition for every knee.
 
     Parameters
     ----------
     knees : sequence of Knee
         Knees to image.
     sample_protocol : callable
-        Function that samples an acquisition with the random generator `rng`.
+        Function that samples an acquisition; it is called with the keyword argument `rng`, a random generator.
     seed : int
         Seed of the random acquisitions.
 
     Returns
     -------
     list of tuple of (Knee, Protocol)
-        Each knee with the protocol of its acquisition.
+        Pairs of a knee and its sampled acquisition.
     """
     takings = []
     for number, knee in enumerate(knees):
@@ -130,25 +130,25 @@ def compute_simulated_landmarks(
     workers: int = 1,
     checkpoint: RowCheckpoint | None = None,
 ) -> LandmarkSample:
-    """Compute the contour landmarks of right knees, each under the protocol of its acquisition.
+    """Compute the contour landmarks of right knees, each with its own acquisition protocol.
 
     Parameters
     ----------
     acquisitions : sequence of tuple of (Knee, Protocol)
-        Each knee with the protocol of its acquisition.
+        Pairs of a knee and its sampled acquisition.
     tables : AnatomyTables
-        Anatomy tables.
+        Anatomy tables from which bones are built.
     defined_under : Protocol
-        Protocol that defines joint space width, see ``load_jsw_protocol``.
+        Protocol that defines the joint space width, from ``load_jsw_protocol``.
     workers : int, default 1
         Number of worker processes.
     checkpoint : RowCheckpoint or None, default None
-        Checkpoint with landmarks of earlier runs; None computes the landmarks of all knees.
+        Checkpoint with the landmarks of earlier runs; None disables the reuse of landmarks.
 
     Returns
     -------
     LandmarkSample
-        Landmarks and grades.
+        Contour landmarks and KL grades.
     """
     shared = {"tables": tables, "defined_under": defined_under}
     measure = partial(map_in_parallel, _compute_landmarks, shared=shared, workers=workers)
@@ -168,12 +168,12 @@ def compute_simulated_landmarks(
 
 
 def _make_landmark_row(places_mm: Array) -> Row:
-    """Make a table row of (16, 2) landmarks."""
+    """Convert (16, 2) landmarks to one table row."""
     return dict(zip(_COLUMNS, places_mm.ravel().tolist(), strict=True))
 
 
 def _compute_landmarks(acquisition: tuple[Knee, Protocol], tables: AnatomyTables, defined_under: Protocol) -> Array:
-    """Compute the (16, 2) landmark labels of a right knee in mm from its outer bone surfaces."""
+    """Compute the landmark labels (16, 2) of a right knee, in mm, from its outer bone surfaces."""
     knee, protocol = acquisition
     assembly = assemble_knee(knee, resolve_bone_parameters(knee, tables), protocol.posture, defined_under)
     femur, tibia = (assembly.orient_mesh(mesh) for mesh in build_outer_meshes(assembly))
@@ -189,9 +189,9 @@ def convert_landmarks_to_mm(landmarks_px: dict[str, tuple[float, float]], side: 
     Parameters
     ----------
     landmarks_px : dict of str to tuple of float
-        Row and column of each landmark, in px.
+        Row and column of each landmark in pixels, keyed by landmark name.
     side : {"right", "left"}
-        Left or right knee.
+        Side of the knee.
     pixel_mm : float
         Pixel pitch in mm.
 
@@ -247,14 +247,14 @@ def measure_joint_sizes(places_mm: Array) -> dict[str, Array]:
     Returns
     -------
     dict of str to (n,) array
-        Sizes in mm and degrees, by the field names of ``GradeLandmarkStatistics``.
+        Sizes in mm and degrees, keyed by field name of ``GradeLandmarkStatistics``.
 
     Notes
     -----
-    A joint gap is the vertical distance between the femoral and the tibial contour, which are interpolated linearly
-    between landmarks. The position of a gap is a fraction of the femoral width from the femoral edge. The minimum gap
-    is searched at fractions 0.1 to 0.3. Convergence is the angle between the line through the condyles and the line
-    through the plateau edges. It is positive if the joint opens medially.
+    A joint gap is the vertical distance between the femoral and tibial contours, which are interpolated linearly
+    between landmarks. The position of a gap is its distance from the femoral edge as a fraction of the femoral width.
+    The minimum gap is searched at fractions from 0.1 to 0.3. Convergence is the angle between the line through the
+    condyles and the line through the plateau edges. It is positive if the joint opens medially.
     """
     shares, width = normalise_to_plateau(places_mm)
     sizes = {"plateau_width_mm": width}
@@ -273,7 +273,7 @@ def measure_joint_sizes(places_mm: Array) -> dict[str, Array]:
 
 
 def compare_contours(sample: LandmarkSample, reference: LandmarkReference) -> ContourComparison:
-    """Compare the landmarks of simulated knees with those of patients, for all grades present in both groups.
+    """Compare the landmarks of simulated knees and patients for every grade that occurs in both groups.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ def compare_contours(sample: LandmarkSample, reference: LandmarkReference) -> Co
     Returns
     -------
     ContourComparison
-        Table rows and figure.
+        Rows of all tables, and the figure.
 
     Raises
     ------
@@ -328,7 +328,7 @@ def compare_contours(sample: LandmarkSample, reference: LandmarkReference) -> Co
 
 
 def _compute_gap_auc_rows(sizes: dict[str, Array], grades: np.ndarray, reference: LandmarkReference) -> list[Row]:
-    """Compute the AUC of the smaller minimum gap for each grade against grade 0; a narrow gap predicts the grade."""
+    """Compute the AUC with which the smaller compartment gap distinguishes each grade from grade 0."""
     narrow = -np.minimum(sizes["medial_gap_least_mm"], sizes["lateral_gap_least_mm"])
     rows = []
     for grade in np.unique(grades[grades > 0]):
@@ -343,7 +343,7 @@ def _compute_gap_auc_rows(sizes: dict[str, Array], grades: np.ndarray, reference
 
 
 def _compute_gaps(landmarks: Array, side: str, fractions: Array) -> Array:
-    """Compute the joint gaps (k,) at fractions (k,) of the femoral width from the femoral edge of a compartment."""
+    """Compute joint gaps (k,) at distances (k,) from the femoral edge of a compartment, as fractions of width."""
     femur, tibia = landmarks[_FEMUR], landmarks[_TIBIA]
     width = femur[-1, 0] - femur[0, 0]
     x = femur[-1, 0] - fractions * width if side == "medial" else femur[0, 0] + fractions * width
@@ -351,12 +351,12 @@ def _compute_gaps(landmarks: Array, side: str, fractions: Array) -> Array:
 
 
 def _compare_landmarks(grade: int, landmarks: Array, reference: GradeLandmarkStatistics) -> list[Row]:
-    """Compare every landmark coordinate of one grade with the reference."""
+    """Compare every landmark coordinate of one grade with the published patient values."""
     rows = []
     for index, name in enumerate(CONTOUR_LANDMARKS):
         for axis, letter in enumerate("xy"):
             mean_sd = reference.mean_share[index][axis], reference.sd_share[index][axis]
-            # The plateau edges define the frame, so they have no variance.
+            # The plateau edges define the coordinate frame, so their coordinates have no variance.
             if mean_sd[1] > 0:
                 beside = _compare_with_reference(landmarks[:, index, axis], mean_sd)
                 rows.append({"grade": grade, "landmark": name, "axis": letter, **beside})
@@ -364,7 +364,7 @@ def _compare_landmarks(grade: int, landmarks: Array, reference: GradeLandmarkSta
 
 
 def _compare_with_reference(values: Array, reference: Pair) -> Row:
-    """Compare mean and standard deviation of values (n,) with a reference mean and standard deviation."""
+    """Compare the mean and standard deviation of values (n,) with reference values."""
     mean, sd = float(values.mean()), float(values.std(ddof=1))
     off, ratio = (mean - reference[0]) / reference[1], sd / reference[1]
     return {
@@ -381,7 +381,7 @@ def _compare_with_reference(values: Array, reference: Pair) -> Row:
 
 
 def _compare_modes(landmarks: Array, reference: LandmarkReference) -> list[Row]:
-    """Compare the principal components of landmarks (n, 16, 2) with those of patients."""
+    """Compare the principal components of landmarks (n, 16, 2) with the published components of patients."""
     flat = landmarks.reshape(len(landmarks), -1)
     flat = flat - flat.mean(axis=0)
     _, singular, vectors = np.linalg.svd(flat, full_matrices=False)

@@ -1,4 +1,4 @@
-"""Figure of mean contours of simulated knees and of patients, with ellipses of one standard deviation."""
+"""Plot the mean contours of simulated knees and patients, with one-SD ellipses."""
 
 import io
 
@@ -8,11 +8,11 @@ from matplotlib.patches import Ellipse
 
 from ...core.checks import Array
 
-# Colours of patients and of simulated knees, distinguishable with any colour vision (Okabe and Ito 2008).
+# Colours for patients and simulated knees, which colour-blind readers can distinguish (Okabe and Ito 2008).
 _PEOPLE = "#D55E00"
 _DRAWN = "#0072B2"
-# Panels per row, figure width in inches and panel height in inches. On a page 800 pixels wide, a figure 8 inches wide
-# is displayed with its nominal text size.
+# Number of panels per row, figure width in inches, and panel height in inches. The width of 8 inches gives the nominal
+# text size on a page that is 800 pixels wide.
 _COLUMNS, _WIDTH_IN, _PANEL_HEIGHT_IN = 2, 8.0, 1.85
 # Size of all text, in points.
 _FONT_PT = 10
@@ -21,13 +21,13 @@ _TIBIA_LANDMARKS = 9
 
 
 def plot_contours(panels: list[tuple[int, tuple[Array, Array], tuple[Array, Array]]]) -> bytes:
-    """Plot one panel per grade with mean contours of simulated knees and of patients.
+    """Plot the mean contours of simulated knees and patients, with one panel per grade.
 
     Parameters
     ----------
     panels : list of tuple
-        Grade, then mean and standard deviation of the landmarks of simulated knees, then the same of patients. Arrays
-        have shape (16, 2), in fractions of the plateau width.
+        Tuples of grade, simulated landmark mean and SD, and patient landmark mean and SD. Arrays have shape (16, 2), in
+        fractions of the plateau width.
 
     Returns
     -------
@@ -56,7 +56,7 @@ def plot_contours(panels: list[tuple[int, tuple[Array, Array], tuple[Array, Arra
 
 
 def _plot_contour(axis: Axes, mean: Array, sd: Array, name: str, colour: str) -> None:
-    """Plot lines through the mean landmarks of tibia and femur, and an ellipse at each landmark."""
+    """Plot lines through the mean landmarks of tibia and femur, and a one-SD ellipse at each landmark."""
     for part, label in ((slice(None, _TIBIA_LANDMARKS), name), (slice(_TIBIA_LANDMARKS, None), None)):
         axis.plot(*mean[part].T, "-o", color=colour, markersize=3, linewidth=1.2, label=label)
     for place, spread in zip(mean, sd, strict=True):

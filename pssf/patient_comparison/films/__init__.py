@@ -1,1 +1,1 @@
-"""Comparison of simulated with patient radiographs: simulation, normalisation, features and classifiers."""
+"""Compare simulated with patient radiographs: simulation, normalisation, features and classifiers."""

@@ -1,4 +1,4 @@
-"""Contact sheets of normalised patient and simulated radiographs at a common scale, for visual comparison."""
+"""Make contact sheets of normalised patient and simulated radiographs at a common scale."""
 
 import io
 from collections.abc import Sequence
@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-# Gap between radiographs, in pixels.
+# Distance between neighbouring radiographs, in pixels.
 _GAP_PX = 3
 # Height of a caption, in pixels.
 _CAPTION_PX = 14

@@ -1,4 +1,4 @@
-"""Domain shift between patient and simulated radiographs: separability, and transfer of grade classifiers."""
+"""Measure the domain shift between patient and simulated radiographs: separability and classifier transfer."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,13 +20,13 @@ from .film_features import GROUP_SEPARATOR, TOLD, Record
 Row = dict[str, Any]
 # Name of the feature group that contains all features.
 ALL_FEATURES = "all"
-# Number of folds of the cross-validation.
+# Number of cross-validation folds.
 FOLDS = 5
-# Minimum number of radiographs per class for which a result is reported.
+# Minimum number of radiographs in each class for which a result is reported.
 _MIN_FILMS = 10
 # Inverse strength of the L2 penalty, dimensionless; assumed suitable for hundreds of features and radiographs.
 _INVERSE_PENALTY = 0.1
-# Number of reported features with the highest AUC.
+# Number of features with the highest individual AUC that are reported.
 _LEADING_COUNT = 8
 _NO_GAIN_FRACTION: dict[str, float | None] = {
     "gain_fraction": None, "gain_fraction_low": None, "gain_fraction_high": None,
@@ -55,7 +55,7 @@ class FilmFeatures:
     subjects: NDArray[Any]
 
     def select_grades(self, grades: Sequence[int]) -> "FilmFeatures":
-        """Select the radiographs that have one of the given grades.
+        """Select the radiographs with one of several grades.
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ def make_film_features(name: str, records: Sequence[Record]) -> FilmFeatures:
     Returns
     -------
     FilmFeatures
-        Features of all groups except those that are reported but not used for training.
+        Features of all groups that are used for training.
     """
     table = pd.DataFrame([record for record in records if record["status"] == "found"])
     columns = [name for name in table if GROUP_SEPARATOR in name and name.split(GROUP_SEPARATOR)[0] not in TOLD]
@@ -101,9 +101,9 @@ def make_film_features(name: str, records: Sequence[Record]) -> FilmFeatures:
 
 
 def measure_source_separability(first: FilmFeatures, second: FilmFeatures, *, replicates: int, seed: int) -> list[Row]:
-    """Measure how well a classifier distinguishes the radiographs of two sources, for each feature group.
+    """Measure how well classifiers distinguish the radiographs of two sources, with one classifier per feature group.
 
-    Each subject is in only one fold of the cross-validation.
+    Every subject belongs to only one cross-validation fold.
 
     Parameters
     ----------
@@ -114,14 +114,14 @@ def measure_source_separability(first: FilmFeatures, second: FilmFeatures, *, re
     replicates : int
         Number of bootstrap replicates.
     seed : int
-        Seed of cross-validation folds and bootstrap.
+        Seed for the cross-validation folds and the bootstrap.
 
     Returns
     -------
     list of dict
-        One row per feature group. ``auc`` is the area under the ROC curve; ``low`` and ``high`` are its 95 % bootstrap
-        interval over subjects, with fixed models. ``leading_features`` lists the features with the highest individual
-        AUC.
+        One row per feature group. ``auc`` is the area under the ROC curve; ``low`` and ``high`` are the limits of the
+        95 % bootstrap interval over subjects, with fixed models. ``leading_features`` lists the features with the
+        highest individual AUC.
     """
     table = pd.concat([first.features, second.features], ignore_index=True)
     truth = np.repeat([False, True], [len(first.features), len(second.features)])
@@ -153,8 +153,8 @@ def measure_transfer(
     real : FilmFeatures
         Features of patient radiographs.
     simulated : FilmFeatures
-        Features of simulated radiographs. If no simulated radiograph has a grade of `high`, the highest simulated grade
-        is the positive class.
+        Features of simulated radiographs. If no simulated radiograph has a grade in `high`, the positive class is the
+        highest simulated grade.
     low : int
         Grade of the negative class.
     high : sequence of int
@@ -162,15 +162,15 @@ def measure_transfer(
     replicates : int
         Number of bootstrap replicates.
     seed : int
-        Seed of classifiers, cross-validation folds and bootstrap.
+        Seed for the classifiers, the cross-validation folds and the bootstrap.
 
     Returns
     -------
     list of dict
-        One row per feature group: AUC and 95 % interval after training on simulated radiographs. Columns with prefix
-        ``patient_`` are the same after training on patient radiographs. ``gain_fraction`` is the gain over chance
-        (AUC - 0.5) from simulated radiographs, divided by the gain from patient radiographs. The interval of
-        ``gain_fraction`` uses the same bootstrap subjects for the two classifiers. ``gain_fraction`` is empty if the
+        One row per feature group, with AUC and 95 % interval after training on simulated radiographs. Columns with the
+        prefix ``patient_`` contain these results after training on patient radiographs. ``gain_fraction`` is the gain
+        over chance (AUC - 0.5) from simulated radiographs, divided by the gain from patient radiographs. The interval
+        of ``gain_fraction`` uses the same bootstrap subjects for both classifiers. ``gain_fraction`` is empty if the
         interval of the patient AUC includes 0.5.
     """
     highest = [grade for grade in high if grade in simulated.grades] or [int(simulated.grades.max())]
@@ -202,7 +202,7 @@ def measure_transfer(
 
 
 def _has_enough_films(truth: NDArray[np.bool_], subjects: NDArray[Any]) -> bool:
-    """Report whether each class has enough radiographs, and at least one subject per fold."""
+    """Return whether each class has enough radiographs, and at least one subject per fold."""
     kinds = [subjects[truth == kind] for kind in (False, True)]
     return all(len(of) >= _MIN_FILMS and len(set(of.tolist())) >= FOLDS for of in kinds)
 
@@ -213,12 +213,12 @@ def group_features(features: pd.DataFrame) -> dict[str, list[Any]]:
     Parameters
     ----------
     features : pandas.DataFrame
-        Table whose columns are (group, feature).
+        Feature table with (group, feature) columns.
 
     Returns
     -------
     dict of str to list
-        Columns of each group; the last entry, ``"all"``, has the columns of all groups.
+        Columns of each group; the last entry, ``"all"``, contains the columns of all groups.
     """
     names = dict.fromkeys(group for group, _ in features.columns)
     groups = {group: [column for column in features.columns if column[0] == group] for group in names}
@@ -231,7 +231,7 @@ def make_classifier(seed: int) -> Pipeline:
     Parameters
     ----------
     seed : int
-        Seed of the solver.
+        Seed of the logistic regression solver.
 
     Returns
     -------
@@ -246,7 +246,7 @@ def make_classifier(seed: int) -> Pipeline:
 
 
 def cross_validate(features: pd.DataFrame, truth: NDArray[np.bool_], subjects: NDArray[Any], seed: int) -> Array:
-    """Predict the class of each radiograph by a classifier trained without its subject (cross-validation).
+    """Predict the class of each radiograph with a classifier that was trained on other subjects (cross-validation).
 
     Parameters
     ----------
@@ -257,7 +257,7 @@ def cross_validate(features: pd.DataFrame, truth: NDArray[np.bool_], subjects: N
     subjects : (films,) array of str
         Subject of each radiograph.
     seed : int
-        Seed of cross-validation folds and classifiers.
+        Seed for the cross-validation folds and the classifiers.
 
     Returns
     -------
@@ -297,7 +297,7 @@ def find_leading_features(features: pd.DataFrame, truth: NDArray[np.bool_]) -> l
 
 
 def _auc_with_interval(truth: NDArray[np.bool_], value: Array, resampled: Array) -> dict[str, float]:
-    """Compute the AUC of predicted values, and its interval from the AUCs of bootstrap samples."""
+    """Compute the AUC of predicted values, and the AUC interval from bootstrap samples."""
     low, high = percentile_interval(resampled)
     return {"auc": round(auc(truth, value), 4), "low": round(low, 4), "high": round(high, 4)}
 
@@ -305,7 +305,7 @@ def _auc_with_interval(truth: NDArray[np.bool_], value: Array, resampled: Array)
 def _compute_gain_fraction(
     truth: NDArray[np.bool_], values: tuple[Array, Array], resampled: tuple[Array, Array]
 ) -> Mapping[str, float]:
-    """Divide the gain over chance of the first prediction by that of the second, with a paired bootstrap interval."""
+    """Divide the gain over chance of one prediction by the gain of another, with a paired bootstrap interval."""
     whole = [auc(truth, value) - 0.5 for value in values]
     beyond = resampled[1] - 0.5
     low, high = percentile_interval((resampled[0] - 0.5) / np.where(beyond > 0, beyond, np.nan))
@@ -319,7 +319,7 @@ def _compute_gain_fraction(
 def bootstrap_auc(
     truth: NDArray[np.bool_], value: Array, subjects: NDArray[Any], *, replicates: int, seed: int
 ) -> Array:
-    """Compute the AUC of bootstrap samples of subjects; samples with only one class are omitted.
+    """Compute the AUC of every bootstrap sample of subjects; samples with only one class are omitted.
 
     Parameters
     ----------
@@ -352,14 +352,14 @@ def sample_bootstrap_counts(subject_index: NDArray[np.int64], rng: np.random.Gen
     Parameters
     ----------
     subject_index : (films,) int64 array
-        Zero-based number of the subject of each radiograph.
+        Zero-based subject index of each radiograph.
     rng : numpy.random.Generator
-        Source of random numbers.
+        Random generator.
 
     Returns
     -------
     (films,) int64 array
-        Number of times that each radiograph is sampled; it is equal for all radiographs of a subject.
+        How often each radiograph is sampled; the counts are equal for all radiographs of a subject.
     """
     count = subject_index.max() + 1
     return np.bincount(rng.integers(0, count, count), minlength=count)[subject_index]

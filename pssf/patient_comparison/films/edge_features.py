@@ -1,4 +1,4 @@
-"""Features of cortex and physeal scar: grey profiles across the medial and lateral bone edges, and physeal lines."""
+"""Measure features of the cortex and the physeal scar on radiographs."""
 
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
@@ -8,7 +8,7 @@ from ...core.checks import Array
 from .film_normalisation import PITCH_MM, joint_centre_px
 from .outline_features import Features
 
-# Direction from the midline (+1 medial, -1 lateral) and range of heights above the joint (mm) of each bone edge.
+# Bone edges: direction from the midline (+1 medial, -1 lateral) and range of heights above the joint, in mm.
 _SIDE_BANDS = {
     "medial_tibia": (1, -24.0, -12.0),
     "lateral_tibia": (-1, -20.0, -8.0),
@@ -28,11 +28,11 @@ _STEP_MM = 0.2
 _OUTSIDE_MM = (-2.5, -1.4)
 # Depth range of bone, in mm inwards from the steepest point of the profile.
 _INSIDE_MM = (6.0, 12.0)
-# Depths at which the profile is reported, in mm inwards from its steepest point.
+# Depths at which the profile is reported, in mm inwards from the steepest point.
 _TOLD_MM = (0.0, 0.6, 1.2, 2.1, 3.3)
 # Minimum number of rows with a visible bone edge for which a profile is reported.
 _LEAST_ROWS = 8
-# Minimum difference between bone and soft tissue, as a fraction of the grey range of the image.
+# Minimum grey-value difference between bone and soft tissue, as a fraction of the grey range of the image.
 _LEAST_RISE = 0.15
 # Range of heights above the joint in which the physeal scar of each bone is searched, in mm.
 _SCARS = {"femur": (14.0, 34.0), "tibia": (-30.0, -10.0)}
@@ -60,7 +60,7 @@ def measure_edges(field: Array) -> Features:
     Returns
     -------
     dict of str to float
-        Features by name; a profile is omitted if its bone edge is not visible.
+        Features keyed by name; the profile of an invisible bone edge is omitted.
     """
     values: Features = {}
     for name, (way, low_mm, high_mm) in _SIDE_BANDS.items():
@@ -78,7 +78,7 @@ def measure_edges(field: Array) -> Features:
 
 
 def _measure_edge_profile(field: Array, direction: int, low_mm: float, high_mm: float) -> tuple[Array, Array]:
-    """Measure the median grey profile across a bone edge, after rows are aligned at their steepest points.
+    """Measure the median grey profile across a bone edge, with all rows aligned at the steepest point.
 
     Return depths (k,) in mm and the profile (k,), which is empty if no bone edge is visible.
     """
@@ -100,7 +100,7 @@ def _measure_edge_profile(field: Array, direction: int, low_mm: float, high_mm: 
 
 
 def _measure_strongest_line(band: Array, direction: int) -> float:
-    """Measure the strongest line-filter response on the medial (+1) or lateral (-1) side, relative to its spread."""
+    """Measure the strongest line-filter response in the medial (+1) or lateral (-1) half, divided by the spread."""
     middle, wide = joint_centre_px()[1], round(_WIDE_MM / PITCH_MM)
     within = band[:, np.abs(np.arange(band.shape[1]) - middle) * PITCH_MM < 36.0]
     usual, spread = np.median(within), median_abs_deviation(within, axis=None, scale="normal")
@@ -111,5 +111,5 @@ def _measure_strongest_line(band: Array, direction: int) -> float:
 
 
 def _rows_above_joint(low_mm: float, high_mm: float) -> slice:
-    """Return the rows between two heights above the joint, in mm."""
+    """Select the image rows between two heights above the joint, in mm."""
     return slice(*(joint_centre_px()[0] - round(mm / PITCH_MM) for mm in (high_mm, low_mm)))

@@ -1,4 +1,4 @@
-"""Feature measurement on radiographs: joint localisation, normalisation, tracing of bone contours and features."""
+"""Measure features of radiographs after joint localisation, normalisation and contour tracing."""
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
@@ -36,20 +36,20 @@ from .outline_features import Features, find_plateau_edges, measure_shape_featur
 from .tone_features import measure_fine_texture, measure_tone
 
 Record = dict[str, Any]
-# Code whose hashes are part of the key of each record, because the record depends on it.
+# Code on which a record depends; the record key contains the hashes of this code.
 CODE_PATHS = (
     *("anatomy/labels/radiograph_labels.py", "core", "data", "detector", "io"),
     *("radiomics", "patient_comparison"),
 )
 # Feature groups that are reported but not used for training; `TOLD` lists all three.
 TONE, FINE, EDGES = TOLD = ("tone", "fine texture", "edges")
-# Separator of group and feature in a column name.
+# Separator between group and feature in a column name.
 GROUP_SEPARATOR = "|"
 # Distance from the localised medial joint line to the joint centre, as a fraction of the plateau width.
 _JOINT_CENTRE_OFFSET = 0.25
-# Scale factors of the image in successive iterations of centring; a smaller factor gives a wider field of view.
+# Scale factors of the image in successive iterations of centring; a smaller factor shows a wider field of view.
 _ZOOMS = (0.8, 0.9, 1.0)
-# Maximum factor by which the scale changes, in each iteration and in total.
+# Maximum change of the image scale as a factor, both per iteration and in total.
 _MAX_RESIZING = 1.25
 
 
@@ -77,7 +77,7 @@ class FilmSource:
     name : str
         Name of the source.
     folder : Path
-        Folder of the radiographs; file names are relative to it.
+        Folder with the radiographs; file names are relative to this folder.
     films : tuple of Film
         Radiographs of the source.
     """
@@ -96,9 +96,9 @@ def measure_films(
     previous_records: Mapping[str, Mapping[str, Record]],
     save: Callable[[str, list[Record]], None],
 ) -> dict[str, list[Record]]:
-    """Measure every radiograph of the given sources.
+    """Measure every radiograph of several sources.
 
-    Records of an earlier run are reused if code and templates are unchanged.
+    Records of an earlier run are reused if code and templates have not changed.
 
     Parameters
     ----------
@@ -111,15 +111,15 @@ def measure_films(
     execution : Execution
         Worker processes, timer and progress display.
     previous_records : mapping of str to mapping
-        Records of an earlier run, by source name and SHA-256 of the file.
+        Records of an earlier run, keyed by source name and by file SHA-256.
     save : callable
-        Function called with a source name and all available records of the source. It is called at intervals and at the
-        end, so an interrupted run can resume.
+        Function that receives a source name and all available records of this source. It is called at intervals and at
+        the end, so that an interrupted run can resume.
 
     Returns
     -------
     dict of str to list of dict
-        One record per radiograph, by source name and in the order of the radiographs.
+        One record per radiograph in input order, keyed by source name.
     """
     code = compute_code_hashes(CODE_PATHS)
     key = compute_key(
@@ -159,7 +159,7 @@ def measure_films(
 def _select_reusable_records(
     source: FilmSource, key: str, previous_records: Mapping[str, Record]
 ) -> list[Record | None]:
-    """Select the record of each radiograph from an earlier run; None if it is missing or its key differs."""
+    """Select the record of every radiograph from an earlier run, or None if the record is missing or outdated."""
     of_films = ((film, previous_records.get(film.sha256)) for film in source.films)
     return [
         record if record and record["key"] == _compute_display_key(key, film) else None for film, record in of_films
@@ -182,12 +182,12 @@ def measure_film(
     table: LocalisationSettings,
     code: Mapping[str, str],
 ) -> Record:
-    """Measure one radiograph.
+    """Localise the joint on one radiograph and measure the features of the radiograph.
 
     Parameters
     ----------
     folder_and_film : tuple of (Path, Film)
-        Folder of the radiograph, and the radiograph with its file name relative to the folder.
+        Folder, and entry of a radiograph whose file name is relative to this folder.
     templates : sequence of Template
         Templates of the joint localisation.
     table : LocalisationSettings
@@ -198,12 +198,13 @@ def measure_film(
     Returns
     -------
     dict
-        Status, joint position, side and pitch. If the joint was localised, also features, named ``group|feature``.
+        Status, joint position, side and pixel pitch. If the joint was localised, the record also contains features,
+        named ``group|feature``.
 
     Raises
     ------
     InputError
-        The code of this worker process differs from `code`.
+        The code of the worker process differs from `code`.
     """
     require_same_code(code)
     folder, film = folder_and_film
@@ -235,12 +236,12 @@ def measure_film(
 def measure_located_film(
     film: Array, approximate_position: JointPosition, pixel_mm: float, binning: float = 1
 ) -> Record:
-    """Measure the features of a radiograph around the joint.
+    """Measure the features of a radiograph around a localised joint.
 
     Parameters
     ----------
     film : (rows, cols) array, grey
-        Radiograph in display values, bone bright.
+        Radiograph in display values with bright bone.
     approximate_position : JointPosition
         Approximate position of the joint centre.
     pixel_mm : float
@@ -251,7 +252,7 @@ def measure_located_film(
     Returns
     -------
     dict of str to float
-        Features, named ``group|feature``, joint position and pitch.
+        Features, named ``group|feature``, joint position and pixel pitch.
     """
     shown, approximate_position = bin_film(film, approximate_position, binning)
     place = centre_on_joint(shown, approximate_position)
@@ -280,14 +281,14 @@ def _measure_acquisition(film: Array, field: Array, place: JointPosition) -> Fea
 
 
 def centre_on_joint(film: Array, approximate_position: JointPosition) -> JointPosition:
-    """Refine joint position and pixel pitch, so that the plateau is PLATEAU_MM wide and the joint is centred.
+    """Refine the joint position and the pixel pitch, so that the plateau is PLATEAU_MM wide and the joint centred.
 
-    The first iterations use a wider field of view, so that it contains both plateau edges.
+    The first iterations use a wider field of view, which contains both plateau edges.
 
     Parameters
     ----------
     film : (rows, cols) array, grey
-        Radiograph in display values, bone bright.
+        Radiograph in display values with bright bone.
     approximate_position : JointPosition
         Approximate position of the joint centre.
 
@@ -320,7 +321,7 @@ def centre_on_joint(film: Array, approximate_position: JointPosition) -> JointPo
 
 
 def _compute_display_key(key: str, film: Film) -> str:
-    """Compute the key of a radiograph from the common key, its display processing and its resampled pixel size."""
+    """Compute a record key from the common key, the display processing and the resampled pixel size."""
     shown = f"{key} {film.processing!r} {film.resampled_pixel_mm}"
     return (
         key

@@ -1,9 +1,9 @@
-"""Normalisation of radiographs: mirrored to a right knee, centred on the joint, common size, field and grey range.
+"""Normalise radiographs: mirror left knees, centre the joint, and equalise size, field and grey range.
 
 Notes
 -----
-The magnification of patient radiographs is seldom known, and published crops are resampled. Lengths in this package
-are therefore normalised: every plateau is PLATEAU_MM wide from edge to edge.
+The magnification of patient radiographs is seldom known, and published crops are resampled. Lengths are therefore
+normalised: every tibial plateau is PLATEAU_MM wide from edge to edge.
 """
 
 from dataclasses import dataclass
@@ -19,10 +19,10 @@ from ...core.checks import (
 )
 from ...core.resample import downsample_by_area
 
-# Normalised plateau width, in mm; mean of patient radiographs (Tiulpin et al. 2019, see `data/landmarks.toml`).
+# Normalised plateau width, in mm: the mean of patient radiographs (Tiulpin et al. 2019, see `data/landmarks.toml`).
 PLATEAU_MM = 78.0
 # Normalised pixel pitch, in mm. Fixed-flexion crops of 224 x 224 pixels have about this pitch; most radiographs have a
-# finer one.
+# finer pitch.
 PITCH_MM = 0.46
 # Height of the field above the joint centre, in mm.
 ABOVE_MM = 43.0
@@ -30,7 +30,7 @@ ABOVE_MM = 43.0
 BELOW_MM = 34.0
 # Half width of the field, in mm.
 HALF_MM = 46.0
-# Grey-value percentiles that are mapped to 0 and 255; pixels beyond them show markers or air.
+# Grey-value percentiles that are mapped to 0 and 255; pixels outside this range show markers or air.
 _STRETCH_PERCENTILES = (1.0, 99.0)
 
 
@@ -41,11 +41,11 @@ class JointPosition:
     Parameters
     ----------
     row : float
-        Row of the joint centre, in px.
+        Row coordinate of the joint centre, in pixels.
     col : float
-        Column of the joint centre, in px.
+        Column coordinate of the joint centre, in pixels.
     side : {"right", "left"}
-        Left or right knee, as displayed.
+        Side of the displayed knee.
     pitch_mm : float
         Pixel pitch in normalised mm, 0.005 to 10 mm.
 
@@ -77,38 +77,38 @@ class JointPosition:
         Returns
         -------
         rows : (n,) array
-            Rows in px.
+            Row coordinates in pixels.
         cols : (n,) array
-            Columns in px.
+            Column coordinates in pixels.
         """
         across = medial_mm if self.side == "right" else -medial_mm
         return self.row + below_mm / self.pitch_mm, self.col + across / self.pitch_mm
 
     def rebin(self, pixels: float) -> "JointPosition":
-        """Convert the position to an image with another pixel size.
+        """Convert the joint position to an image with a different pixel size.
 
         Parameters
         ----------
         pixels : float
-            Width of a new pixel, in present pixels.
+            Width of a new pixel in current pixels.
 
         Returns
         -------
         JointPosition
-            The same position, in new pixels.
+            Joint position in new pixels.
         """
         row, col = ((at + 0.5) / pixels - 0.5 for at in (self.row, self.col))
         return JointPosition(row=row, col=col, side=self.side, pitch_mm=self.pitch_mm * pixels)
 
     def shift_by_pixels(self, rows: float, cols: float) -> "JointPosition":
-        """Shift the position by a number of pixels of the normalised radiograph.
+        """Shift the joint position by a number of normalised pixels.
 
         Parameters
         ----------
         rows : float
-            Shift in distal direction, in normalised px.
+            Distal shift in normalised pixels.
         cols : float
-            Shift in medial direction, in normalised px.
+            Medial shift in normalised pixels.
 
         Returns
         -------
@@ -120,7 +120,7 @@ class JointPosition:
 
 
 def bin_film(film: Array, place: JointPosition, binning: float) -> tuple[Array, JointPosition]:
-    """Bin a radiograph and convert a position to the binned pixels.
+    """Bin the pixels of a radiograph and convert the joint position to binned pixels.
 
     Parameters
     ----------
@@ -142,9 +142,9 @@ def bin_film(film: Array, place: JointPosition, binning: float) -> tuple[Array, 
 
 
 def resample_joint_field(film: Array, place: JointPosition) -> Array:
-    """Resample the field around the joint centre as a right knee, with columns from lateral to medial.
+    """Resample the field around the joint centre, mirrored to a right knee, with columns from lateral to medial.
 
-    Outside the image, the nearest edge pixel is used.
+    Outside the image, the value of the nearest edge pixel is used.
 
     Parameters
     ----------
@@ -156,14 +156,14 @@ def resample_joint_field(film: Array, place: JointPosition) -> Array:
     Returns
     -------
     (168, 201) array
-        Field in display values.
+        Resampled field in display values.
     """
     below: Array = np.arange(round(-ABOVE_MM / PITCH_MM), round(BELOW_MM / PITCH_MM) + 1, dtype=np.float64) * PITCH_MM
     half = round(HALF_MM / PITCH_MM)
     across: Array = np.arange(-half, half + 1, dtype=np.float64) * PITCH_MM
     rows, cols = place.to_pixels(below, across)
-    # A normalised pixel is the mean over its area, as in crops of reduced size. The variance of the Gaussian blur is
-    # that of the normalised pixel minus that of the original pixel.
+    # A normalised pixel is the mean over its area, as in downsampled crops. The variance of the Gaussian blur is the
+    # variance of the normalised pixel minus the variance of the original pixel.
     coarser = PITCH_MM / place.pitch_mm
     blur = np.sqrt(max(coarser**2 - 1, 0.0) / 12)
     near, top, left = _crop_with_margin(film, rows, cols, round(5 * blur) + 1)
@@ -174,7 +174,7 @@ def resample_joint_field(film: Array, place: JointPosition) -> Array:
 
 
 def _crop_with_margin(film: Array, rows: Array, cols: Array, margin: int) -> tuple[Array, int, int]:
-    """Crop an image to the range of given rows and columns plus a margin; return the crop, its first row and column."""
+    """Crop an image to a range of rows and columns plus a margin; return the crop and its first row and column."""
     starts, ends = [], []
     for places, length in ((rows, film.shape[0]), (cols, film.shape[1])):
         starts.append(int(np.clip(np.floor(places.min()) - margin, 0, length - 1)))
@@ -183,7 +183,7 @@ def _crop_with_margin(film: Array, rows: Array, cols: Array, margin: int) -> tup
 
 
 def stretch_contrast(field: Array) -> Array:
-    """Stretch the grey values between the 1st and 99th percentile to integers from 0 to 255.
+    """Scale the grey values between the 1st and 99th percentiles to integers from 0 to 255.
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def stretch_contrast(field: Array) -> Array:
     """
     low, high = np.percentile(field, _STRETCH_PERCENTILES)
     if not high > low:
-        raise InputError(f"radiograph must have contrast, got 98 % of its values between {low:g} and {high:g}")
+        raise InputError(f"radiograph must have contrast, got 98 % of grey values between {low:g} and {high:g}")
     return np.asarray(np.round(np.clip((field - low) / (high - low), 0, 1) * 255))
 
 
@@ -212,6 +212,6 @@ def joint_centre_px() -> tuple[int, int]:
     Returns
     -------
     tuple of int
-        Row and column, in px.
+        Row and column in pixels.
     """
     return round(ABOVE_MM / PITCH_MM), round(HALF_MM / PITCH_MM)

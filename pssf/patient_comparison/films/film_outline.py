@@ -1,4 +1,4 @@
-"""Contours of femur and tibia on a normalised radiograph, traced along grey-value edges by dynamic programming."""
+"""Trace the contours of femur and tibia on a normalised radiograph by dynamic programming."""
 
 from dataclasses import dataclass
 
@@ -12,49 +12,47 @@ from .film_normalisation import PITCH_MM, PLATEAU_MM, joint_centre_px
 
 # Standard deviation of the Gaussian derivative filter for gradients, in px.
 _BLUR_PX = 1.2
-# Grey values differ between bones, so gradients are divided by the local contrast within about 4 to 6 mm.
-# Standard deviation of the Gaussian that is subtracted to obtain grey detail, in px.
+# Grey detail is the image minus a Gaussian blur with this standard deviation, in px. Gradients are divided by the local
+# contrast within about 4 to 6 mm, because grey values differ between bones.
 _COARSE_PX = 8.0
-# Standard deviation of the Gaussian that averages squared detail to local contrast, in px.
+# Standard deviation of the Gaussian that averages the squared grey detail to local contrast, in px.
 _LOCAL_PX = 12.0
 # Upper limit to which relative gradients are clipped, dimensionless.
 _MAX_STEEPNESS = 3.0
-# Cost of a step of one row per column; the cost is proportional to the step to the power 1.5.
+# Cost of a contour step of one row per column, dimensionless; the cost is proportional to the step to the power 1.5.
 _BEND_COST = 0.02
 # Maximum step of a joint contour, in rows per column.
 _JOINT_STEPS = 4
 # Maximum step of a side contour, in columns per row.
 _SIDE_STEPS = 2
-# Where femur and tibia overlap, the femoral contour has no edge, and an edge inside the bone could be traced instead.
-# Each row between the contours therefore adds a cost that increases with its brightness.
-# Cost per row, dimensionless.
+# Cost per row between the femoral and tibial contours, dimensionless. The cost increases with brightness, so that no
+# edge inside the bone is traced where femur and tibia overlap and the femoral contour has no edge.
 _ROW = 0.1
-# Offset of the grey detail to which the cost of a row is proportional, dimensionless.
+# Offset that is added to the grey detail of a row to compute the row cost, dimensionless.
 _NOT_DARK = 0.6
 # Distance from the midline up to which the row cost is 0 because of the intercondylar notch, in mm.
 _NOTCH_MM = 10.0
 # Distance from the notch over which the row cost increases to its full value, in mm.
 _FADING_MM = 6.0
-# The contour of a tibial spine is faint, but edges inside the spine are strong. Each row that is brighter than the
-# notch above it therefore adds a cost to the tibial contour.
-# Cost per row and unit of brightness, dimensionless.
+# Cost of a tibial contour per row and unit of brightness, dimensionless. A row that is brighter than the notch above
+# adds this cost, because the contour of a tibial spine is faint and edges inside the spine are strong.
 _ROW_PASSED = 0.03
-# Minimum brightness above that of the darkest row above at which a row adds a cost, dimensionless.
+# Brightness difference from the darkest row above, beyond which a row adds a cost, dimensionless.
 _BRIGHTER = 0.1
 # Upper limit to which brightness differences are clipped, dimensionless.
 _BRIGHTEST = 2.0
-# Distance from the midline beyond which the spine cost is 0, in mm; the eminence ends there.
+# Distance from the midline beyond which the spine cost is 0, in mm: half the width of the eminence.
 _SPINES_MM = 21.0
 # Distance over which the spine cost decreases to 0, in mm.
 _SPINES_FADING_MM = 14.0
-# Cost of a femoral contour below the tibial contour, or of a tibial contour above the femoral contour.
+# Cost of a femoral contour below the tibial contour, or of a tibial contour above the femoral contour, dimensionless.
 _FORBIDDEN_COST = 10.0
-# Fibula, fat and skin have edges too, so the medial and lateral contours are searched near the plateau edges only.
-# Distance from the midline up to which the tibial side contours have no extra cost, in half plateau widths.
+# Distance from the midline up to which the tibial side contours have no extra cost, in half plateau widths. Contours
+# are searched only near the plateau edges, because fibula, fat and skin also have edges.
 _TIBIA_WITHIN = 1.08
 # Distance from the midline up to which the femoral side contours have no extra cost, in half plateau widths.
 _FEMUR_WITHIN = 1.15
-# Distance beyond these limits at which the extra cost is `_BEYOND`, in mm.
+# Distance beyond the limits `_TIBIA_WITHIN` and `_FEMUR_WITHIN` at which the extra cost is `_BEYOND`, in mm.
 _BEYOND_MM = 8.0
 # Extra cost at the distance `_BEYOND_MM`, dimensionless; the cost is proportional to the square of the distance.
 _BEYOND = 0.3
@@ -67,7 +65,7 @@ _SEARCH_SCALE_MM = 16.0
 # Maximum height of the eminence above the joint centre, in mm. Medial spines are 0.143 (SD 0.016) plateau widths above
 # the plateau edges (Tiulpin et al. 2019). The edges are about 3 mm below the joint centre.
 _TALLEST_MM = 12.0
-# Cost per mm above the maximum height of the eminence.
+# Cost of a tibial contour per mm above the maximum height of the eminence, dimensionless.
 _TOO_TALL = 0.6
 
 
@@ -84,11 +82,11 @@ class Outline:
     tibia : (n,) array
         Rows of the proximal tibial contour, in px.
     tibia_rows : (m,) array
-        Rows at which the medial and lateral tibial contours are traced, from the joint downwards, in px.
+        Rows of the medial and lateral tibial contours, from the joint downwards, in px.
     tibia_sides : (m, 2) array
         Columns of the lateral and the medial tibial contour, in px.
     femur_rows : (m,) array
-        Rows at which the medial and lateral femoral contours are traced, from the joint upwards, in px.
+        Rows of the medial and lateral femoral contours, from the joint upwards, in px.
     femur_sides : (m, 2) array
         Columns of the lateral and the medial femoral contour, in px.
     """
@@ -122,7 +120,7 @@ def trace_outline(film: Array, plateau_mm: float = PLATEAU_MM) -> Outline:
     reach = round(_CONTOUR_REACH_MM / PITCH_MM)
     columns = np.arange(col - reach, col + reach + 1)
     rows, x_mm = np.arange(len(film))[:, None], np.abs(columns - col) * PITCH_MM
-    # From top to bottom, the grey value decreases at the end of the femur and increases at the tibia.
+    # From top to bottom, the grey value decreases at the distal femur and increases at the proximal tibia.
     away = (rows - row) * PITCH_MM / _SEARCH_SCALE_MM
     too_tall = _TOO_TALL * np.maximum((row - rows) * PITCH_MM - _TALLEST_MM, 0.0)
     brighter = -0.6 * np.clip(rise, 0, _MAX_STEEPNESS)[:, columns] + 0.15 * away**2 + too_tall
@@ -140,10 +138,10 @@ def trace_outline(film: Array, plateau_mm: float = PLATEAU_MM) -> Outline:
 
 
 def _compute_gap_cost(tone: Array, tibia: NDArray[np.int64], x_mm: Array) -> Array:
-    """Compute the (rows, cols) cost of a distal femoral contour from the bright rows between contour and tibia.
+    """Compute the cost of a distal femoral contour from the bright rows between the contour and the tibia.
 
     `tone` is the grey detail from :func:`_compute_gradients`. `tibia` contains the (cols,) rows of the tibial contour.
-    `x_mm` contains the (cols,) distances from the midline, in mm.
+    `x_mm` contains the (cols,) distances from the midline, in mm. The cost has shape (rows, cols).
     """
     rows = np.arange(len(tone))[:, None]
     space = np.where(rows < tibia, np.clip(tone, -1.0, 1.0) + _NOT_DARK, 0.0)
@@ -152,11 +150,12 @@ def _compute_gap_cost(tone: Array, tibia: NDArray[np.int64], x_mm: Array) -> Arr
 
 
 def _compute_passed_bone_cost(grey: Array, femur: NDArray[np.int64], x_mm: Array) -> Array:
-    """Compute the (rows, cols) cost of a proximal tibial contour from the bright rows between femur and contour.
+    """Compute the cost of a proximal tibial contour from the bright rows between the femur and the contour.
 
-    A row adds a cost if it is brighter than the darkest row above, as in a tibial spine. `grey` is the grey value
-    divided by local contrast. Grey detail is not used, because it is too bright in the middle of a dark notch. `femur`
-    contains the (cols,) rows of the femoral contour. `x_mm` contains the (cols,) distances from the midline, in mm.
+    A row adds a cost if the row is brighter than the darkest row above, as in a tibial spine. `grey` is the grey value
+    divided by local contrast. Grey detail is not used, because it overestimates the brightness in a dark notch. `femur`
+    contains the (cols,) rows of the femoral contour. `x_mm` contains the (cols,) distances from the midline, in mm. The
+    cost has shape (rows, cols).
     """
     rows = np.arange(len(grey))[:, None]
     soft = gaussian_filter(grey, 1.0)
@@ -188,7 +187,7 @@ def find_cheapest_path(cost: Array, max_step_px: int) -> NDArray[np.int64]:
 
 @kernel()
 def _solve_cheapest_path(cost: Array, step_cost: Array) -> NDArray[np.int64]:
-    """Find the (cols,) rows of the cheapest path by dynamic programming; `step_cost` is the cost by step in rows."""
+    """Find the cheapest path (cols,) by dynamic programming; `step_cost` is the cost of each row step."""
     rows, cols = cost.shape
     step = len(step_cost) - 1
     origin = np.empty((cols, rows), np.int64)
@@ -213,7 +212,8 @@ def _compute_gradients(film: Array) -> tuple[Array, Array, Array, Array]:
     """Compute vertical gradient, horizontal gradient, grey detail and grey value, each divided by local contrast."""
     detail = film - gaussian_filter(film, _COARSE_PX)
     local = np.sqrt(gaussian_filter(detail**2, _LOCAL_PX)) + 0.25
-    # Local contrast is low near the skin, so division by it alone would make a fat edge as strong as a bone edge.
+    # Local contrast is low near the skin. Division by local contrast alone would make fat edges as strong as bone
+    # edges.
     steady = np.sqrt(local**2 + (detail**2).mean())
     down = gaussian_filter(film, _BLUR_PX, order=(1, 0)) / local
     right = gaussian_filter(film, _BLUR_PX, order=(0, 1)) / (steady * np.median(local) / np.median(steady))
@@ -221,14 +221,14 @@ def _compute_gradients(film: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _trace_sides(across: Array, row: int, direction: int, within_mm: float) -> tuple[Array, Array]:
-    """Trace the lateral and the medial contour of a bone; return rows (m,) and columns (m, 2) in px.
+    """Trace the lateral and medial contours of a bone; return rows (m,) and columns (m, 2) in px.
 
     `direction` is +1 downwards and -1 upwards from the joint. The cost increases beyond `within_mm` from the midline.
     """
     near, far = (round(length / PITCH_MM) for length in _SIDE_HEIGHTS_MM)
     rows = np.clip(row + direction * np.arange(near, far + 1), 0, len(across) - 1)
     _, middle = joint_centre_px()
-    inner = round(20.0 / PITCH_MM)  # Both bones extend more than 20 mm to either side.
+    inner = round(20.0 / PITCH_MM)  # Femur and tibia extend more than 20 mm medially and laterally.
     beyond_mm = np.maximum(np.abs(np.arange(across.shape[1]) - middle) * PITCH_MM - within_mm, 0.0)
     unlikely, steep = _BEYOND * (beyond_mm / _BEYOND_MM) ** 2, across[rows]
     costs = [unlikely - np.clip(sign * steep, 0, _MAX_STEEPNESS) for sign in (1, -1)]

@@ -1,4 +1,4 @@
-"""Grade effects: comparison of feature differences between grades on patient and on simulated radiographs."""
+"""Compare grade effects (feature differences between grades) of patient and simulated radiographs."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -15,28 +15,28 @@ from .domain_shift import (
     sample_bootstrap_counts,
 )
 
-# Number of random splits of the subjects into halves, over which reliability is averaged.
+# Number of random splits of the subjects into halves; reliability is averaged over all splits.
 _HALVINGS = 200
-# Key of the random stream for the splits into halves.
+# Key of the random stream for the splits of the subjects.
 _HALVES = 78
 
 
 def compare_grade_effects(
     real: FilmFeatures, simulated: FilmFeatures, *, low: int, high: Sequence[int], replicates: int, seed: int
 ) -> tuple[list[Row], list[Row]]:
-    """Compare standardised feature differences between grades on patient and on simulated radiographs.
+    """Compare standardised feature differences between grades of patient and simulated radiographs.
 
     Parameters
     ----------
     real : FilmFeatures
         Features of patient radiographs.
     simulated : FilmFeatures
-        Features of simulated radiographs. If no simulated radiograph has a grade of `high`, the highest simulated grade
+        Features of simulated radiographs. If no simulated radiograph has a grade in `high`, the highest simulated grade
         is used.
     low : int
-        Lower grade of the difference.
+        Reference grade, which is subtracted.
     high : sequence of int
-        Higher grades of the difference.
+        Higher grades, whose radiographs are pooled.
     replicates : int
         Number of bootstrap replicates.
     seed : int
@@ -45,13 +45,13 @@ def compare_grade_effects(
     Returns
     -------
     rows : list of dict
-        One row per feature: standardised difference on patient radiographs (``patient_effect``) and on simulated
-        radiographs (``simulated_effect``).
+        One row per feature, with the standardised difference of patient radiographs (``patient_effect``) and of
+        simulated radiographs (``simulated_effect``).
     summary : list of dict
-        One row per feature group. ``r`` is the correlation over the features and ``same_sign`` the fraction of equal
-        signs, each with a 95 % bootstrap interval over subjects. ``max_r`` is the expected correlation
-        if the true effects are equal; it is below 1 because each effect is measured with limited reliability. It is the
-        square root of the product of the two reliabilities (Spearman 1904).
+        One row per feature group. ``r`` is the correlation of effects over the features, and ``same_sign`` is the
+        fraction of features with equal sign. Both have a 95 % bootstrap interval over subjects. ``max_r`` is the
+        expected correlation for equal true effects: the square root of the product of the patient and simulated
+        reliabilities (Spearman 1904).
     """
     highest = [grade for grade in high if grade in simulated.grades] or [int(simulated.grades.max())]
     ours = _bootstrap_effects(simulated, low, highest, replicates, seed)
@@ -88,7 +88,7 @@ def compare_grade_effects(
 
 
 def _compute_half_sample_effects(films: FilmFeatures, low: int, high: Sequence[int], seed: int) -> Array:
-    """Compute the grade effects in each half of randomly split subjects, (splits, 2, features)."""
+    """Compute the grade effects in both halves of randomly split subjects, shape (splits, 2, features)."""
     of_grades = films.select_grades([low, *high])
     values, without = of_grades.features.to_numpy(np.float64), of_grades.grades == low
     rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(_HALVES,)))
@@ -113,7 +113,7 @@ def _split_half_reliability(halves: Array) -> float:
 
 
 def _effect_agreement(real: Array, simulated: Array) -> tuple[float, float]:
-    """Compute the correlation between two (features,) arrays of effects, and the fraction of equal signs."""
+    """Compute the correlation between two arrays of effects (features,), and the fraction of equal signs."""
     there = np.isfinite(real + simulated)
     one, other = real[there], simulated[there]
     if not len(one):
@@ -129,9 +129,9 @@ def _round_to_three_digits(value: float) -> float:
 
 
 def _bootstrap_effects(films: FilmFeatures, low: int, high: Sequence[int], replicates: int, seed: int) -> Array:
-    """Compute (1 + replicates, features) standardised differences.
+    """Compute standardised differences, shape (1 + replicates, features).
 
-    The first row is from all radiographs, the other rows are from bootstrap samples. A difference is NaN if a grade has
+    The first row uses all radiographs; the other rows use bootstrap samples. A difference is NaN if a grade has
     fewer than two radiographs, or if all values are equal.
     """
     of_grades = films.select_grades([low, *high])
@@ -144,14 +144,14 @@ def _bootstrap_effects(films: FilmFeatures, low: int, high: Sequence[int], repli
 
 
 def _standardised_difference(values: Array, is_low_grade: NDArray[Any]) -> Array:
-    """Compute (features,) differences between the means of two grades, divided by the pooled standard deviation."""
+    """Compute differences (features,) between two grade means, divided by the pooled standard deviation."""
     (mean, variance), (other_mean, other_variance) = _moments(values[is_low_grade]), _moments(values[~is_low_grade])
     spread = np.sqrt((variance + other_variance) / 2)
     return (other_mean - mean) / np.where(spread > 0, spread, np.nan)
 
 
 def _moments(values: Array) -> tuple[Array, Array]:
-    """Compute (features,) means and variances over the finite values of each column of a (films, features) array."""
+    """Compute means and variances (features,) of the finite values in each column of a (films, features) array."""
     there = np.isfinite(values)
     count = there.sum(axis=0)
     known = np.where(there, values, 0.0)

@@ -1,4 +1,4 @@
-"""Grey-value features of a normalised radiograph: subchondral bone plate, first-order features and texture."""
+"""Measure grey-value features of a normalised radiograph: subchondral bone plate, first-order and texture features."""
 
 import numpy as np
 from scipy import stats
@@ -21,7 +21,7 @@ PATCHES = {
 }
 # Number of grey levels of the grey-level co-occurrence matrix.
 _GREY_LEVELS = 32
-# Measured properties of the grey-level co-occurrence matrix.
+# Properties of the grey-level co-occurrence matrix that are measured.
 _PROPERTIES = ("contrast", "homogeneity", "correlation", "energy")
 # Depth range of the reference bone for the brightness of the subchondral bone plate, in mm below the contour.
 _DEEP_BONE_MM = (8.0, 12.0)
@@ -41,7 +41,7 @@ def measure_grey_features(film: Array, outline: Outline) -> dict[str, Features]:
     Returns
     -------
     dict of str to dict of str to float
-        Features by group and name.
+        Features keyed by group and by name.
     """
     patches = {name: cut_patch(film, outline, *place) for name, place in PATCHES.items()}
     return {
@@ -54,7 +54,7 @@ def measure_grey_features(film: Array, outline: Outline) -> dict[str, Features]:
 
 
 def cut_patch(film: Array, outline: Outline, bone: str, share: float, above_mm: float) -> Array:
-    """Cut a square patch at a position relative to a bone contour.
+    """Cut out a square patch at a position relative to a bone contour.
 
     A patch that would extend beyond the image is shifted inwards.
 
@@ -65,7 +65,7 @@ def cut_patch(film: Array, outline: Outline, bone: str, share: float, above_mm: 
     outline : Outline
         Bone contours of the radiograph.
     bone : {"femur", "tibia"}
-        Bone whose contour is the reference.
+        Bone whose contour defines the position.
     share : float
         Distance from the plateau middle, as a fraction of the plateau width; positive medially.
     above_mm : float
@@ -74,7 +74,7 @@ def cut_patch(film: Array, outline: Outline, bone: str, share: float, above_mm: 
     Returns
     -------
     (side, side) array
-        Patch of 16 mm edge length.
+        Patch with an edge length of 16 mm.
     """
     level, col = locate_patch_base(outline, bone, share)
     side = round(PATCH_MM / PITCH_MM)
@@ -84,26 +84,26 @@ def cut_patch(film: Array, outline: Outline, bone: str, share: float, above_mm: 
 
 
 def locate_patch_base(outline: Outline, bone: str, share: float) -> tuple[float, float]:
-    """Locate the point of a bone contour relative to which a patch is placed.
+    """Locate the reference point of a patch on a bone contour.
 
     Parameters
     ----------
     outline : Outline
         Bone contours.
     bone : {"femur", "tibia"}
-        Bone whose contour is the reference.
+        Bone whose contour defines the position.
     share : float
         Distance from the plateau middle, as a fraction of the plateau width; positive medially.
 
     Returns
     -------
     tuple of float
-        Row and column, in px.
+        Row and column of the reference point, in px.
     """
     left, right = find_plateau_edges(outline)
     col = (left + right) / 2 + share * (right - left)
     contour = outline.femur if bone == "femur" else outline.tibia
-    # In the middle of the plateau, the tibial spines protrude, so the median height of the contour is used.
+    # The median contour height is used in the middle of the plateau, because the tibial spines protrude.
     level = np.median(contour) if share == 0 else np.interp(col, outline.columns, contour)
     return float(level), col
 
@@ -131,7 +131,7 @@ def _measure_subchondral_plate(film: Array, outline: Outline) -> Features:
 
 
 def _measure_first_order(film: Array, patches: dict[str, Array]) -> Features:
-    """Measure mean, standard deviation, skewness and percentiles of the image, and mean and SD of each patch."""
+    """Measure mean, SD, skewness and percentiles of the image, and mean and SD of each patch."""
     values = {f"p{at}": float(np.percentile(film, at)) for at in (5, 25, 50, 75, 95)}
     values |= {"mean": float(film.mean()), "sd": float(film.std()), "skewness": float(stats.skew(film, axis=None))}
     for name, patch in patches.items():

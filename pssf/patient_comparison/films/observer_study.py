@@ -1,4 +1,4 @@
-"""Observer study: a sheet of patient and simulated radiographs in random order, with a separate answer key."""
+"""Make an observer study: patient and simulated radiographs in random order, with a separate answer key."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -10,9 +10,9 @@ from ..comparison_page import Row, Table
 from .contact_sheets import make_contact_sheet
 from .film_features import Record
 
-# Number of rows of the observer sheet.
+# Number of rows of the observer study sheet.
 _ROWS = 4
-# Number of radiographs per row of the observer sheet.
+# Number of radiographs in each row of the observer study sheet.
 _A_ROW = 6
 
 
@@ -28,7 +28,7 @@ def select_observer_films(
     simulated : str
         Name of the source of simulated radiographs.
     seed : int
-        Seed of random selection and order.
+        Seed for the random selection and the random order.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def make_observer_sheet(
     films_in_order : sequence of tuple of (str, dict)
         Source name and record of each radiograph, from :func:`select_observer_films`.
     load_image : callable
-        Function that returns the (rows, cols) uint8 radiograph, given source name and record.
+        Function of source name and record that returns the radiograph as a (rows, cols) uint8 array.
 
     Returns
     -------
@@ -76,8 +76,8 @@ def make_observer_sheet(
         name="observer_study",
         png=make_contact_sheet(rows),
         alt="24 radiographs, half of them simulated, in random order",
-        caption="(e) Observer study: half of these radiographs are simulated. The key is in observer_study_key.csv.",
+        caption="(e) Observer study: half of these radiographs are simulated. Answer key: observer_study_key.csv.",
     )
     return (figure,), (
-        Table(name="observer_study_key", rows=key, caption="(e) Key of the observer study.", max_rows_shown=0),
+        Table(name="observer_study_key", rows=key, caption="(e) Answer key of the observer study.", max_rows_shown=0),
     )

@@ -1,4 +1,4 @@
-"""Contour features of a normalised radiograph in four groups: joint space, contour, margins and bone shape."""
+"""Measure contour features of a normalised radiograph: joint space, contour, margins and bone shape."""
 
 import numpy as np
 
@@ -7,26 +7,26 @@ from ...core.checks import Array
 from .film_normalisation import PITCH_MM
 from .film_outline import Outline
 
-# Positions at which contour heights are measured: distance from the plateau middle in plateau widths, medial positive.
+# Positions of contour height measurements: distance from the plateau middle in plateau widths, positive medially.
 _STATION_FRACTIONS = np.round(np.linspace(-0.42, 0.42, 15), 2)
 # Distance from the plateau middle within which the top of the notch is searched, in plateau widths.
 _NOTCH = 0.14
 # Distance from the plateau middle within which the tibial spines are searched, in plateau widths.
 _SPINES = 0.16
-# Depth range below the tibial contour in which the plateau is widest, in mm.
+# Depth range below the tibial contour in which the plateau edges are searched, in mm.
 _EDGE_MM = (3.0, 8.0)
 # Distances from the joint at which bone margins are measured, in mm.
 _MARGIN_MM = (4.0, 8.0, 12.0, 18.0)
-# Medial compartment, as fractions of the plateau width from the medial edge.
+# Range of the medial compartment, as fractions of the plateau width from the medial edge.
 _MEDIAL_BAND = (0.1, 0.3)
-# Lateral compartment, as fractions of the plateau width from the medial edge.
+# Range of the lateral compartment, as fractions of the plateau width from the medial edge.
 _LATERAL_BAND = (0.7, 0.9)
 
 Features = dict[str, float]
 
 
 def find_plateau_edges(outline: Outline) -> tuple[float, float]:
-    """Find the lateral and medial edge of the plateau, where the tibia is widest just below the joint.
+    """Find the lateral and medial plateau edges, where the tibia is widest just below the joint.
 
     Parameters
     ----------
@@ -36,7 +36,7 @@ def find_plateau_edges(outline: Outline) -> tuple[float, float]:
     Returns
     -------
     tuple of float
-        Columns of the lateral and the medial edge, in px.
+        Columns of the lateral and medial plateau edges, in px.
     """
     heights = (outline.tibia_rows - outline.tibia_rows[0]) * PITCH_MM + 3.0
     near = (heights >= _EDGE_MM[0]) & (heights <= _EDGE_MM[1])
@@ -45,7 +45,7 @@ def find_plateau_edges(outline: Outline) -> tuple[float, float]:
 
 
 def plateau_fractions(outline: Outline) -> Array:
-    """Express the columns of an outline as distances from the plateau middle, in plateau widths.
+    """Convert the columns of an outline to distances from the plateau middle, in plateau widths.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def plateau_fractions(outline: Outline) -> Array:
 
 
 def measure_shape_features(outline: Outline) -> dict[str, Features]:
-    """Measure the contour features, with lengths as fractions of the plateau width; no pixel pitch is needed.
+    """Measure the contour features; lengths are fractions of the plateau width and require no pixel pitch.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def measure_shape_features(outline: Outline) -> dict[str, Features]:
     Returns
     -------
     dict of str to dict of str to float
-        Features by group and name.
+        Features keyed by group and by name.
     """
     left, right = find_plateau_edges(outline)
     width, share = right - left, plateau_fractions(outline)
@@ -91,15 +91,15 @@ def measure_shape_features(outline: Outline) -> dict[str, Features]:
 
 
 def _plateau_tilt(outline: Outline, share: Array, width: float) -> float:
-    """Measure the tilt of the plateau between 0.4 plateau widths on either side of its middle, dimensionless."""
+    """Measure the plateau tilt between points 0.4 plateau widths lateral and medial of the middle, dimensionless."""
     lateral, medial = (np.interp(at, share, outline.tibia) for at in (-0.4, 0.4))
     return float((medial - lateral) / 0.8 / width)
 
 
 def _measure_joint_space(share: Array, gap: Array) -> Features:
-    """Measure the joint space at the positions of JSW(x), and the minimum and mean in each compartment.
+    """Measure the joint space at fixed positions (JSW(x)), and its minimum and mean in each compartment.
 
-    `share` contains the column positions and `gap` the joint space, in plateau widths.
+    `share` contains the column positions, and `gap` the joint space heights, both in plateau widths.
     """
     from_medial = 0.5 - share
     space = {f"at_{at:.3f}": float(np.interp(0.5 - at, share, gap)) for at in JSW_FRACTIONS}
@@ -114,7 +114,7 @@ def _measure_joint_space(share: Array, gap: Array) -> Features:
 
 
 def _measure_margins(outline: Outline, edges: tuple[float, float]) -> Features:
-    """Measure how far bone margins extend beyond the plateau edge, and beyond the margin 10 to 16 mm from the joint."""
+    """Measure bone margin overhang relative to the plateau edge, and to the margin 10 to 16 mm from the joint."""
     width = edges[1] - edges[0]
     values = {}
     for bone, rows, sides in (
@@ -133,7 +133,7 @@ def _measure_margins(outline: Outline, edges: tuple[float, float]) -> Features:
 
 
 def _measure_shape(outline: Outline, share: Array, femur: Array, tibia: Array) -> Features:
-    """Measure notch, spines, condyles and bone widths, as fractions of the plateau width."""
+    """Measure notch, spines, condyles and bone widths as fractions of the plateau width."""
     left, right = find_plateau_edges(outline)
     middle = np.abs(share) < _NOTCH
     notch_at = share[middle][femur[middle].argmax()]

@@ -1,4 +1,4 @@
-"""Simulated radiographs with the acquisition and display variability of patient radiographs."""
+"""Simulate radiographs with the acquisition and display variability of patient radiographs."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -16,14 +16,14 @@ from .film_features import FilmSource, Record
 
 # Source name of simulated radiographs.
 SIMULATED = "simulated"
-# Key of the random stream for display processing, different from the keys of the cohort.
+# Key of the random stream for display processing, which differs from the random stream keys of the cohort.
 _LOOKS = 301
 # Key of the random stream for pixel sizes.
 _PITCHES = 302
 
 
 def plan_simulated_films(protocol: str, knees: int, grade_table: str, grade_count: int, seed: int) -> Plan:
-    """Plan a cohort of sampled knees with equal numbers per grade, and one sampled acquisition per knee.
+    """Plan a cohort with equally frequent KL grades and one sampled acquisition per knee.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def plan_simulated_films(protocol: str, knees: int, grade_table: str, grade_coun
     grade_table : str
         Grade table from which knees are sampled.
     grade_count : int
-        Number of grades in the table.
+        Number of grades in the grade table.
     seed : int
         Seed of the cohort.
 
@@ -58,14 +58,14 @@ def simulate_films(folder: Path, plan: Plan, known: DisplayProcessing, execution
     plan : Plan
         Plan of the cohort.
     known : DisplayProcessing
-        Distributions of display processing.
+        Default display processing and distributions of its parameters.
     execution : Execution
         Worker processes, timer and progress display.
 
     Returns
     -------
     FilmSource
-        Source of simulated radiographs.
+        Radiograph source with the simulated radiographs.
     """
     with execution.stage(
         "simulated radiographs", "radiographs", sum(len(case.exposures) for case in plan.cases)
@@ -102,12 +102,13 @@ def match_pixel_sizes(simulated: FilmSource, records: Mapping[str, Sequence[Reco
     Returns
     -------
     FilmSource
-        Simulated radiographs with the pixel sizes to which they are reduced; the sizes do not depend on grade.
+        Simulated radiographs with sampled pixel sizes for downsampling; the pixel sizes do not depend on grade.
 
     Notes
     -----
-    Reduction to larger pixels blurs a radiograph, so a classifier could distinguish reduced from original radiographs.
-    Patient crops are reduced to a fixed number of pixels, so the pixel size relative to the knee differs between crops.
+    Downsampling blurs a radiograph, so a classifier could distinguish downsampled patient radiographs from original
+    simulated radiographs. Patient crops are downsampled to a fixed number of pixels, so the pixel size relative to the
+    knee differs between crops.
     """
     pitches = [sorted(float(one["pitch_mm"]) for one in of if one["status"] == "found") for of in records.values()]
     known = max(pitches, key=len, default=[])

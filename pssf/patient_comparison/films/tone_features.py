@@ -1,4 +1,4 @@
-"""Relative grey values of tissues on a radiograph, measured in the original display values."""
+"""Measure relative grey values of tissues on a radiograph, without contrast stretch."""
 
 import numpy as np
 from scipy.ndimage import map_coordinates
@@ -15,19 +15,19 @@ from .grey_features import (
 )
 from .outline_features import Features, plateau_fractions
 
-# Range of distances of the soft-tissue region from the medial contour of the tibia, in mm.
+# Soft-tissue region: range of distances from the medial contour of the tibia, in mm.
 _SOFT_TISSUE_MM = (4.0, 9.0)
-# Range of distances of the soft-tissue region below the joint, in mm.
+# Soft-tissue region: range of distances below the joint, in mm.
 _BELOW_JOINT_MM = (16.0, 26.0)
-# Depth range of the bone regions above and below the joint space, in mm from the bone contour.
+# Bone regions above and below the joint space: depth range from the bone contour, in mm.
 _INSIDE_BONE_MM = (4.0, 8.0)
-# Range of distances of the shaft region below the joint, in mm.
+# Shaft region: range of distances below the joint, in mm.
 _SHAFT_MM = (55.0, 65.0)
 # Half width of the shaft region, in mm.
 _SHAFT_HALF_MM = 24.0
 # Half width of the medullary canal, in mm.
 _CANAL_MM = 4.0
-# Largest pixel pitch that resolves 2 cycles/mm, in mm.
+# Largest pixel pitch that resolves 2 cycles/mm, in mm (Nyquist).
 _MAX_FINE_PITCH_MM = 0.25
 
 
@@ -41,7 +41,7 @@ def measure_tone(film: Array, field: Array, outline: Outline, place: JointPositi
     film : (rows, cols) array, grey
         Radiograph in display values.
     field : (rows, cols) array, grey
-        The same radiograph in normalised geometry, without contrast stretch.
+        Radiograph in normalised geometry, without contrast stretch.
     outline : Outline
         Bone contours of `field`.
     place : JointPosition
@@ -50,7 +50,7 @@ def measure_tone(film: Array, field: Array, outline: Outline, place: JointPositi
     Returns
     -------
     dict of str to float
-        Features by name.
+        Features keyed by name.
     """
     soft, bone = _soft_tissue_grey(field, outline), float(cut_patch(field, outline, *PATCHES["metaphysis"]).mean())
     values = {
@@ -82,7 +82,7 @@ def measure_fine_texture(film: Array, outline: Outline, place: JointPosition, pi
     Returns
     -------
     dict of str to float
-        Features by name; empty if the pixel pitch does not resolve 2 cycles/mm.
+        Features keyed by name; empty if the pixel pitch does not resolve 2 cycles/mm.
     """
     if pixel_mm > _MAX_FINE_PITCH_MM:
         return {}
@@ -103,7 +103,7 @@ def measure_fine_texture(film: Array, outline: Outline, place: JointPosition, pi
 
 
 def _soft_tissue_grey(field: Array, outline: Outline) -> float:
-    """Measure the mean grey value of soft tissue medial to the tibia; the fibula is on the lateral side."""
+    """Measure the mean grey value of soft tissue medial to the tibia, because the fibula is lateral."""
     heights = (outline.tibia_rows - np.median(outline.tibia)) * PITCH_MM
     chosen = (heights >= _BELOW_JOINT_MM[0]) & (heights <= _BELOW_JOINT_MM[1])
     rows, medial = outline.tibia_rows[chosen].astype(int), outline.tibia_sides[chosen, 1]
@@ -125,7 +125,7 @@ def _joint_space_contrast(field: Array, outline: Outline) -> float:
 
 
 def _plate_grey(field: Array, outline: Outline) -> float:
-    """Measure the highest mean grey value of a row within 4 mm below the medial plateau contour."""
+    """Measure the highest mean grey value at one depth, within 4 mm below the medial plateau contour."""
     share = plateau_fractions(outline)
     chosen = (share > 0.15) & (share < 0.38)
     cols, tibia = (part[chosen].astype(int) for part in (outline.columns, outline.tibia))
@@ -134,7 +134,7 @@ def _plate_grey(field: Array, outline: Outline) -> float:
 
 
 def _shaft_greys(film: Array, place: JointPosition) -> tuple[float, float]:
-    """Measure grey values of cortex and medullary canal of the tibial shaft; NaN if the image excludes the shaft."""
+    """Measure grey values of cortex and medullary canal of the tibial shaft; NaN if the shaft is outside the image."""
     below = np.arange(*_SHAFT_MM, PITCH_MM)
     across = np.arange(-_SHAFT_HALF_MM, _SHAFT_HALF_MM, PITCH_MM)
     rows, cols = place.to_pixels(below, across)

@@ -13,19 +13,19 @@ from ...core.checks import Array
 _DENSITY_SD_MM = 0.8
 # Standard deviation of the Gaussian filter before the gradient, in mm; a smaller value makes the outline follow noise.
 _GRADIENT_SD_MM = 0.8
-# Maximum height of a local density minimum that is definitely joint space, in mm.
+# Maximum height of a density dip that is certainly joint space, in mm; assumed.
 _MAX_SURE_SPACE_MM = 10.0
-# Maximum height of the joint space at the detector, where it opens into the intercondylar notch, in mm.
+# Maximum height of the joint space near the intercondylar notch, projected on the detector, in mm; assumed.
 _MAX_SPACE_MM = 16.0
-# Width of the band inside the Otsu outline in which the gradient separates soft tissue from bone, in mm.
+# Minimum depth of bone markers inside the Otsu outline, in mm; in this band, the gradient locates the bone outline.
 _BAND_MM = 8.0
-# Width of the band around the joint space and outside the Otsu outline in which the gradient decides, in mm.
+# Gap between the markers and the joint space or the Otsu outline, in mm; in it, the gradient locates the outline.
 _SEAM_MM = 2.0
-# Maximum vertical distance of joint space and notch from the middle row, in mm.
+# Maximum vertical distance of the joint space and the notch from the middle row of the region, in mm.
 _JOINT_REACH_MM = 16.0
-# Minimum difference of ln(signal) between joint space and adjacent bone, about 4 %; smaller differences are noise.
+# Minimum difference of ln(signal) between joint space and adjacent bone, about 4 % of the signal; above the noise.
 _MIN_DIP = 0.04
-# Minimum area of a connected component of joint space, as a fraction of the region; smaller ones are trabecular gaps.
+# Minimum area of a joint-space component, as a fraction of the region area; smaller components are trabecular gaps.
 _MIN_SPACE_FRACTION = 0.002
 # Minimum area of a connected component of bone, as a fraction of the bone area; smaller components are noise.
 _MIN_BONE_FRACTION = 0.05
@@ -53,9 +53,9 @@ def segment_bone(region: NDArray[np.generic], pixel_mm: float) -> NDArray[np.boo
     Notes
     -----
     Otsu's threshold (Otsu 1979) of the log signal separates dense from less dense pixels. Bone markers are deep inside
-    the dense region. Soft-tissue markers are outside the dense region and in the joint space. In the joint space, the
-    signal is higher than above and below (black top-hat; Serra 1982). The bone outline is the strongest gradient
-    between the markers, even where soft tissue is superimposed.
+    the dense region. Soft-tissue markers are outside the dense region and in the joint space. A black top-hat (Serra
+    1982) detects the joint space, where the signal is higher than above and below. The bone outline is the strongest
+    gradient between the markers, even where soft tissue is superimposed.
     """
     log_signal = np.log(np.maximum(region.astype(np.float64), 1.0))
     density = -gaussian_filter(log_signal, _DENSITY_SD_MM / pixel_mm)
@@ -63,7 +63,7 @@ def segment_bone(region: NDArray[np.generic], pixel_mm: float) -> NDArray[np.boo
         return np.ones(region.shape, dtype=bool)
     markers = _make_markers(density, pixel_mm)
     if not (markers == _BONE).any():
-        bone = density >= threshold_otsu(density)  # A bone narrower than the band has no marker.
+        bone = density >= threshold_otsu(density)  # Bone narrower than the band has no marker.
     else:
         bone = watershed(gradient_magnitude(log_signal, _GRADIENT_SD_MM / pixel_mm), markers) == _BONE
     return _remove_small_pieces(bone, _MIN_BONE_FRACTION * int(bone.sum()))
@@ -90,12 +90,12 @@ def _make_markers(density: Array, pixel_mm: float) -> NDArray[np.int32]:
 
 
 def _compute_black_top_hat(density: Array, height_px: float) -> Array:
-    """Compute the black top-hat along columns, with a structuring element of a given height."""
+    """Compute the black top-hat along columns, with a structuring element of `height_px` rows."""
     return np.asarray(grey_closing(density, size=(2 * int(height_px / 2) + 1, 1)) - density)
 
 
 def _distance_to_outside_px(inside: NDArray[np.bool_]) -> Array:
-    """Compute the distance from each pixel to the nearest pixel outside a mask, in pixels; infinite for a full mask."""
+    """Compute the distance from each mask pixel to the nearest outside pixel, in pixels; infinite for a full mask."""
     return np.full(inside.shape, np.inf) if inside.all() else np.asarray(distance_transform_edt(inside))
 
 

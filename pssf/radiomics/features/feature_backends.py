@@ -16,9 +16,9 @@ class Backend:
     module : str
         Name of the Python module of the library.
     libraries : tuple of str
-        Package names (PyPI) of the libraries whose versions affect feature values.
+        PyPI package names of the libraries whose versions affect feature values.
     missing_features : tuple of str
-        Features that this backend does not have, but the other backend has.
+        Features that the other backend measures, but this backend does not.
     """
 
     module: str
@@ -86,11 +86,11 @@ def require_backend(name: str) -> None:
     require_choice("backend", name, tuple(BACKENDS))
     if not is_installed(name):
         there = ", ".join(other for other in BACKENDS if is_installed(other)) or "none"
-        raise InputError(f"backend must be one that is installed ({there}), got {name!r}")
+        raise InputError(f"backend must be an installed backend ({there}), got {name!r}")
 
 
 def select_backend(name: str, features: Iterable[str], consumer: str) -> str:
-    """Select the named backend if it is installed, else an installed backend that has all required features.
+    """Select the specified backend if it is installed, else an installed backend that has all required features.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def select_backend(name: str, features: Iterable[str], consumer: str) -> str:
     features : iterable of str
         Names of the required features, such as glcm_Contrast.
     consumer : str
-        Name of the model or object that needs the features, for the error message.
+        Name of the model or object that requires the features, shown in the error message.
 
     Returns
     -------
@@ -117,5 +117,7 @@ def select_backend(name: str, features: Iterable[str], consumer: str) -> str:
     other = default_backend()
     lacking = [feature for feature in features if feature in BACKENDS[other].missing_features]
     if lacking:
-        raise InputError(f"{consumer} needs {', '.join(lacking)}, which backend {other} does not have: install {name}")
+        raise InputError(
+            f"{consumer} needs {', '.join(lacking)}, which backend {other} does not measure: install {name}"
+        )
     return other

@@ -12,13 +12,13 @@ from .feature_backends import default_backend, require_backend
 from .feature_families import FAMILIES, TEXTURES
 from .ibsi_tags import IbsiTags
 
-# First-order features that do not change if grey values are shifted and scaled. They would be duplicates for the
-# z-score. Entropy and Uniformity of the z-score would also depend on rounding errors of grey values at a bin edge.
+# First-order features that do not change if grey values are shifted and scaled. They are omitted for the z-score, where
+# they would be duplicates. Rounding errors at bin edges would also affect Entropy and Uniformity of the z-score.
 _AFFINE_INVARIANT = ("Entropy", "Uniformity", "Skewness", "Kurtosis")
 
 
 class FeatureExtractor(Protocol):
-    """Interface of a backend that measures features."""
+    """Interface that every feature backend implements."""
 
     def first_order(
         self,
@@ -78,13 +78,13 @@ class FeatureExtractor(Protocol):
         Parameters
         ----------
         values : (rows, cols) array, any unit
-            Grey values. They are divided into bins of equal width from minimum to maximum.
+            Grey values, which are divided into bins of equal width from minimum to maximum.
         pixel_mm : float
             Pixel size, in mm.
         bins : int
             Number of grey-level bins.
         families : collection of str
-            Families of texture features.
+            Texture feature families to measure.
         mask : (rows, cols) bool array or None
             True for the pixels to measure; None measures all pixels.
 
@@ -122,7 +122,7 @@ def extract_features(
     bins : int
         Number of grey-level bins. With a power of two, bin edges are free of rounding errors.
     families : collection of str
-        Families to measure, from FAMILIES.
+        Feature families to measure, from FAMILIES.
     backend : {"pyradiomics", "mirp"} or None
         Feature library; None for pyradiomics if it is installed, else MIRP.
     mask : (size, size) bool array or None
@@ -140,7 +140,9 @@ def extract_features(
         The grey values are not integers, a family is unknown, or the backend is not installed.
     """
     if not np.issubdtype(region.dtype, np.integer):
-        raise InputError(f"region must have an integer type, got {region.dtype}: rounding errors would affect the bins")
+        raise InputError(
+            f"region must have an integer type, got {region.dtype}: rounding errors would affect grey-level bins"
+        )
     for name in families:
         require_choice("family", name, FAMILIES)
     by = load_extractor(default_backend() if backend is None else backend, tags)
@@ -189,7 +191,7 @@ def load_extractor(backend: str, tags: IbsiTags) -> FeatureExtractor:
 
 
 def _prefix_names(prefix: str, values: dict[str, float]) -> dict[str, float]:
-    """Add a prefix to the names of features."""
+    """Add a prefix to feature names."""
     return {f"{prefix}_{name}": value for name, value in values.items()}
 
 

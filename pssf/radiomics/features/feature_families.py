@@ -1,4 +1,4 @@
-"""Feature families: names of the families, and the family of a feature."""
+"""Feature families: names of the families, and the family to which a feature belongs."""
 
 FAMILIES = ("firstorder", "shape2D", "glcm", "glrlm", "glszm", "ngtdm", "gldm")
 TEXTURES = tuple(name for name in FAMILIES if name not in ("firstorder", "shape2D"))

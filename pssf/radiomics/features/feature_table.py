@@ -1,4 +1,4 @@
-"""Feature table: measurement of many radiographs in parallel, with reuse of records of an earlier run."""
+"""Feature table: parallel measurement of many radiographs, and reuse of records from an earlier run."""
 
 import hashlib
 import json
@@ -26,15 +26,15 @@ from .feature_families import FAMILIES
 Record = dict[str, Any]
 LoadPixels = Callable[[str], NDArray[np.uint16]]
 Measurement = tuple[Record, dict[str, float]]
-# Further record columns of a displayed radiograph: side, polarity, source of the pixel size, and number of knees.
+# Additional columns in the record of a displayed radiograph: side, polarity, source of the pixel size, number of knees.
 FILM_COLUMNS = ("film_side", "film_polarity", "film_pixel_from", "film_knees")
 TEXT_COLUMNS = ("radiograph", "sha256", "settings", "checksum", "status", *FILM_COLUMNS)
 SCORE_COLUMNS = ("score", "compartment_score", "side_margin", "orientation_margin", "scale")
 NON_FEATURE_COLUMNS = (*TEXT_COLUMNS, "row_px", "col_px", "film_pixel_mm", *SCORE_COLUMNS)
-# Subpackages whose code and tables determine a record; their hashes are part of the settings hash.
+# Subpackages whose code and tables affect feature records. Their hashes are included in the settings hash.
 _CODE_PACKAGES = ("core", "data", "detector", "io", "radiomics")
 _LIBRARIES = ("numpy", "scikit-image", "scipy")
-# Minimum interval between two calls of `save`, in seconds.
+# Minimum time between two calls of `save` by `measure_radiographs`, in seconds.
 SAVE_INTERVAL_S = 10
 
 
@@ -98,15 +98,15 @@ def measure_radiographs(
     measure_job: Callable[..., Measurement] | None = None,
     stage_name: str = "regions and features",
 ) -> tuple[list[Record], dict[str, float]]:
-    """Measure radiographs in parallel, and reuse records of an earlier run.
+    """Measure radiographs in parallel, and reuse records from an earlier run.
 
     Parameters
     ----------
     jobs : sequence of MeasurementJob
         Radiographs to measure.
     load_pixels : callable
-        Function that returns the pixels (rows, cols), or another input of `measure_job`, given the file name. It must
-        be picklable if there are several workers.
+        Function that returns the pixels (rows, cols), or another input of `measure_job`, for a file name. It must be
+        picklable if several workers are used.
     templates : sequence of Template
         Template radiographs.
     settings : ExtractionSettings or other settings of `measure_job`
@@ -114,12 +114,12 @@ def measure_radiographs(
     tables : RadiomicsTables
         Localisation settings and IBSI tags.
     execution : Execution or None
-        Workers and progress display. If None, one process without progress display is used.
+        Number of workers and progress display. If None, one process without progress display is used.
     known_records : dict of str to dict, or None
-        Records of an earlier run, keyed by SHA-256 of the file. A record is reused if its settings are the same and its
-        checksum is correct.
+        Records from an earlier run, keyed by SHA-256 of the file. A record is reused if its settings are the same and
+        its checksum is correct.
     save : callable
-        Function that is called at intervals with the list of all available records, so an interrupted run can resume.
+        Function that is called at intervals with a list of all finished records, so that an interrupted run can resume.
     measure_job : callable or None
         Function that measures one radiograph; None means `measure_radiograph`.
     stage_name : str
@@ -135,7 +135,7 @@ def measure_radiographs(
     Raises
     ------
     InputError
-        The code of a worker process differs from the code of this process.
+        The code version of a worker process differs from the code version of the main process.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -185,7 +185,7 @@ def measure_radiograph(
 ) -> Measurement:
     """Measure one radiograph with linear pixels.
 
-    If the best match is rejected, the record has its position and scores, but no features.
+    If the best match is rejected, the record contains the position and scores of the match, but no features.
 
     Parameters
     ----------
@@ -240,14 +240,14 @@ def measure_radiograph(
 
 
 def hash_settings(templates: Sequence[Template], settings: Any) -> str:
-    """Compute a hash of all inputs of a record except the pixels: settings, templates, code and library versions.
+    """Compute a hash of all inputs of a feature record except pixels: settings, templates, code and library versions.
 
     Parameters
     ----------
     templates : sequence of Template
         Template radiographs.
     settings : ExtractionSettings or DisplayExtractionSettings
-        Settings of the measurement.
+        Measurement settings that the hash includes.
 
     Returns
     -------
@@ -264,12 +264,12 @@ def hash_settings(templates: Sequence[Template], settings: Any) -> str:
 
 
 def _is_current(record: Mapping[str, Any], key: str) -> bool:
-    """Report whether a record has the current settings hash and a correct checksum."""
+    """Report whether a feature record has the current settings hash and a correct checksum."""
     return record.get("settings") == key and record.get("checksum") == _checksum(record)
 
 
 def _checksum(record: Mapping[str, Any]) -> str:
-    """Compute the checksum of a record, without the name of the radiograph and without NaN values."""
+    """Compute the checksum of a feature record, excluding the radiograph name and NaN values."""
     texts = {name: value if name in TEXT_COLUMNS else repr(float(value)) for name, value in sorted(record.items())}
     kept = {name: value for name, value in texts.items() if value != "nan" and name not in ("radiograph", "checksum")}
     return hashlib.sha256(json.dumps(kept).encode()).hexdigest()[:16]

@@ -1,4 +1,4 @@
-"""Tags of features in the reference of the Image Biomarker Standardisation Initiative (IBSI)."""
+"""Feature tags of the Image Biomarker Standardisation Initiative (IBSI) reference manual."""
 
 from collections.abc import Mapping
 
@@ -26,7 +26,7 @@ def find_ibsi_tag(name: str, tags: IbsiTags) -> str:
 
 
 def find_ibsi_departure(name: str, tags: IbsiTags) -> str:
-    """Describe how a feature differs from its IBSI definition.
+    """Describe the difference between a feature and its IBSI definition.
 
     Parameters
     ----------
@@ -38,13 +38,13 @@ def find_ibsi_departure(name: str, tags: IbsiTags) -> str:
     Returns
     -------
     str
-        Difference from the definition, or a note that the IBSI does not define the feature; empty if there is no
-        difference.
+        Difference from the IBSI definition, or a note that the IBSI does not define the feature; empty if the feature
+        agrees with the IBSI.
     """
     departures = tags["departures"]
     return departures.get(f"{feature_family(name)}_{_short_name(name)}", departures.get(feature_family(name), ""))
 
 
 def _short_name(name: str) -> str:
-    """Return the name of a feature without family and image prefix."""
+    """Return a feature name without its family and image prefix."""
     return name.rsplit("_", 1)[1]

@@ -1,11 +1,11 @@
-"""Description of the image processing from radiograph to features, by the reporting items of the IBSI."""
+"""Description of the image processing from radiograph to features, following the IBSI reporting items."""
 
 from collections.abc import Collection
 
 from .feature_families import TEXTURES
 
-# Texture settings of the two backends. With these settings, both reproduce the reference values of the IBSI digital
-# phantom for the aggregation "2D, averaged".
+# Texture settings of both backends. With these settings, both backends reproduce the reference values of the IBSI
+# digital phantom for the aggregation "2D, averaged".
 _TEXTURE_PROCESSING = {
     "glcm": "neighbours at 1 pixel in 4 directions, symmetric, not weighted by distance; averaged over directions",
     "glrlm": "runs in 4 directions, not weighted by distance; averaged over directions",
@@ -16,7 +16,7 @@ _TEXTURE_PROCESSING = {
 
 
 def describe_processing(region_px: int, bins: int, families: Collection[str]) -> dict[str, str | dict[str, str]]:
-    """Describe each step of the grey-value processing in words.
+    """Describe each grey-value processing step in words.
 
     Parameters
     ----------
@@ -25,27 +25,29 @@ def describe_processing(region_px: int, bins: int, families: Collection[str]) ->
     bins : int
         Number of grey-level bins.
     families : collection of str
-        Measured families, from FAMILIES. Steps that these families do not need are omitted.
+        Measured families, from FAMILIES. Processing steps that these families do not need are omitted.
 
     Returns
     -------
     dict of str to str, or to dict of str to str
-        Description of each step, keyed by step. The step "texture" has a description of the matrix of each family.
+        Description of each processing step, keyed by step. The step "texture" has one matrix description per family.
     """
     steps: dict[str, str | dict[str, str]] = {
-        "images": "one linear radiograph for processing; no derived image",
-        "normalisation": "z-score over the region for firstorder_z, else none" if "firstorder" in families else "none",
-        "conversion": "none: grey values of the detector, linear in energy",
+        "images": "one linear radiograph (DICOM For Processing); no derived images",
+        "normalisation": "z-score over the region for firstorder_z; otherwise none"
+        if "firstorder" in families
+        else "none",
+        "conversion": "none: detector grey values, linear in absorbed energy",
         "noise_suppression": "none",
-        "interpolation": "none: the detector's own pixels",
-        "segmentation": f"automatic: {region_px} x {region_px} pixels about the located medial joint line",
+        "interpolation": "none: detector pixels are used",
+        "segmentation": f"automatic: {region_px} x {region_px} pixels centred on the located medial joint line",
         "resegmentation": "none",
         "filters": "none",
     }
     if "shape2D" in families:
-        steps["bone"] = "watershed of the logarithm's gradient, from markers by Otsu's threshold and a black top-hat"
+        steps["bone"] = "watershed of the log-signal gradient, with markers from Otsu's threshold and a black top-hat"
     texture = {name: _TEXTURE_PROCESSING[name] for name in TEXTURES if name in families}
     if texture:
-        steps["discretisation"] = f"{bins} equal bins from the region's minimum to its maximum"
+        steps["discretisation"] = f"{bins} bins of equal width from the minimum to the maximum of the region"
         steps["texture"] = texture
     return steps

@@ -21,8 +21,8 @@ def compute_mask_overlap(segmented: NDArray[np.bool_], true: NDArray[np.bool_], 
     -------
     dict of str to float
         dice: Dice coefficient. mean_mm and p95_mm: mean and 95th percentile of the distances from the pixels of each
-        outline to the other outline (Taha and Hanbury 2015). area: segmented area divided by true area. All values but
-        dice are NaN if a mask is empty.
+        outline to the other outline (Taha and Hanbury 2015). area: segmented area divided by true area. If a mask is
+        empty, all values except dice are NaN.
     """
     both = int(segmented.sum()) + int(true.sum())
     dice = 2 * int((segmented & true).sum()) / both if both else float("nan")
@@ -35,7 +35,7 @@ def compute_mask_overlap(segmented: NDArray[np.bool_], true: NDArray[np.bool_], 
 
 
 def _find_outline(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Find the outline pixels of a mask (rows, cols), which are adjacent to pixels outside; ignore the image border."""
+    """Find the outline of a mask: the mask pixels (rows, cols) adjacent to outside pixels; ignore the image border."""
     inner: NDArray[np.bool_] = binary_erosion(mask, border_value=1)
-    # A mask that fills the image has no other outline, so the image border is used.
+    # If the mask fills the image, its only outline is the image border.
     return mask & ~inner if (mask & ~inner).any() else mask & ~binary_erosion(mask)

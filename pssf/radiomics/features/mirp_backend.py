@@ -1,7 +1,7 @@
 """MIRP backend: features measured by MIRP (Zwanenburg 2024), which follows the IBSI, with pyradiomics names.
 
-Features are identified by their IBSI tag. MIRP has no 2D shape features, so `shape2d` measures them. The MCC of MIRP
-differs from that of pyradiomics and is omitted.
+MIRP features are identified by their IBSI tag. MIRP has no 2D shape features, so `shape2d` measures them. The MCC
+feature is omitted, because MIRP and pyradiomics define MCC differently.
 """
 
 import logging
@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from .ibsi_tags import IbsiTags
 from .shape2d import measure_shape
 
-# MIRP names of each family, and the suffix of MIRP feature names after the IBSI tag: distance, aggregation or binning.
+# MIRP names of each feature family, and the ending of MIRP feature names after the IBSI tag: distance, aggregation or
+# binning.
 _FAMILIES = {
     "firstorder": (("statistics", "intensity_histogram"), "_fbn"),
     "glcm": (("glcm",), "_d1_"),
@@ -84,7 +85,7 @@ class MirpExtractor:
             Value of each feature, keyed by name without family.
         """
         known = self._select_tagged("firstorder", measure_with_mirp(values, bins, ("firstorder",), mask))
-        known["Kurtosis"] += 3  # MIRP gives excess kurtosis, pyradiomics kurtosis.
+        known["Kurtosis"] += 3  # MIRP returns excess kurtosis, pyradiomics returns kurtosis.
         known["TotalEnergy"] = known["Energy"] * pixel_mm**2
         return _sort_like_pyradiomics({name: value for name, value in known.items() if name not in leave_out})
 
@@ -118,13 +119,13 @@ class MirpExtractor:
         Parameters
         ----------
         values : (rows, cols) array, any unit
-            Grey values. They are divided into bins of equal width from minimum to maximum.
+            Grey values, which are divided into bins of equal width from minimum to maximum.
         pixel_mm : float
             Pixel size, in mm.
         bins : int
             Number of grey-level bins.
         families : collection of str
-            Families of texture features.
+            Texture feature families to measure.
         mask : (rows, cols) bool array or None
             True for the pixels to measure; None measures all pixels.
 
@@ -137,14 +138,14 @@ class MirpExtractor:
         return {name: _sort_like_pyradiomics(self._select_tagged(name, theirs)) for name in families}
 
     def list_unused_tags(self, family: str, values: NDArray[np.generic], bins: int) -> list[str]:
-        """List the IBSI tags of the features of a family that MIRP measures but this package does not use.
+        """List the IBSI tags of all features in a family that MIRP measures but this package does not use.
 
         Parameters
         ----------
         family : str
             Feature family.
         values : (rows, cols) array, any unit
-            Grey values of an arbitrary image, in which MIRP measures the features.
+            Grey values of any image; MIRP measures features of the image to list their names.
         bins : int
             Number of grey-level bins.
 
@@ -170,7 +171,7 @@ class MirpExtractor:
 def measure_with_mirp(
     values: NDArray[np.generic], bins: int, families: Collection[str], mask: NDArray[np.bool_] | None = None
 ) -> dict[str, float]:
-    """Measure all MIRP features of the given families, with MIRP names.
+    """Measure all MIRP features of the specified families, with MIRP names.
 
     Parameters
     ----------
@@ -188,7 +189,7 @@ def measure_with_mirp(
     dict of str to float
         Value of each feature, keyed by MIRP name.
     """
-    import mirp  # The import takes seconds, so it is deferred.
+    import mirp  # Importing MIRP takes seconds, so the import is deferred.
 
     with warnings.catch_warnings(), _silence_mirp_log():
         warnings.simplefilter("ignore")
@@ -203,7 +204,7 @@ def measure_with_mirp(
 
 
 def _sort_like_pyradiomics(values: dict[str, float]) -> dict[str, float]:
-    """Sort features as pyradiomics does, by the names of its methods.
+    """Sort features in the order of the pyradiomics method names.
 
     The order matters, because feature selection removes the second of two correlated features.
     """
@@ -212,7 +213,7 @@ def _sort_like_pyradiomics(values: dict[str, float]) -> dict[str, float]:
 
 @contextmanager
 def _silence_mirp_log() -> Iterator[None]:
-    """Prevent MIRP from adding a log handler that prints a line for every image to stdout."""
+    """Prevent MIRP from adding a log handler that prints one line per image to stdout."""
     root, silent = logging.getLogger(), logging.NullHandler()
     root.addHandler(silent)
     try:

@@ -1,7 +1,8 @@
 """pyradiomics backend: features of pyradiomics 3.0.1 (van Griethuysen 2017), IBSI aggregation "2D, averaged".
 
-Differences between pyradiomics and the IBSI: kurtosis is not excess kurtosis (IBSI + 3); shape2D, TotalEnergy, MCC and
-StandardDeviation are not IBSI features; NGTDM counts pixels without neighbours.
+Differences between pyradiomics and the IBSI: pyradiomics returns kurtosis, and the IBSI defines excess kurtosis
+(kurtosis - 3). The IBSI does not define shape2D, TotalEnergy, MCC and StandardDeviation. The pyradiomics NGTDM includes
+pixels without neighbours.
 """
 
 import logging
@@ -28,11 +29,11 @@ _BINNED_FEATURES = {"Entropy", "Uniformity"}
 class _FirstOrder(firstorder.RadiomicsFirstOrder):  # type: ignore[misc]
     """First-order features of pyradiomics, with each central moment computed once and omitted features skipped.
 
-    In pyradiomics, repeated computation of moments takes a quarter of the time of all features. Products instead of
-    powers would be even faster, but differ in the last bit.
+    pyradiomics itself computes the moments repeatedly, which takes a quarter of its total run time. Computing powers as
+    products would be even faster, but would change the last bit of the results.
     """
 
-    __module__ = firstorder.__name__  # pyradiomics uses the module name as the log name.
+    __module__ = firstorder.__name__  # pyradiomics uses the module name as logger name.
     left_out: Collection[str] = ()
 
     def _applyBinning(self, matrix: Any) -> Any:  # noqa: N802 (name in the library)
@@ -47,7 +48,10 @@ class _FirstOrder(firstorder.RadiomicsFirstOrder):  # type: ignore[misc]
             self.enableFeatureByName(name, False)
 
     def _moment(self, a: Any, moment: int = 1) -> Any:
-        """Return a central moment (1,) of the pixels of the region (1, pixels); `a` is the same array in every call."""
+        """Return a central moment (1,) of the region pixels `a` (1, pixels).
+
+        The moments are cached, because `a` is the same array in every call.
+        """
         if moment not in self._moments:
             self._moments[moment] = super()._moment(a, moment)
         return self._moments[moment]
@@ -114,13 +118,13 @@ def textures(
     Parameters
     ----------
     values : (rows, cols) array, any unit
-        Grey values. They are divided into bins of equal width from minimum to maximum.
+        Grey values, which are divided into bins of equal width from minimum to maximum.
     pixel_mm : float
         Pixel size, in mm.
     bins : int
         Number of grey-level bins.
     families : collection of str
-        Families of texture features.
+        Texture feature families to measure.
     mask : (rows, cols) bool array or None
         True for the pixels to measure; None measures all pixels.
 
@@ -139,9 +143,9 @@ def textures(
 
 
 def _share_binning(kind: Any, cache: dict[str, Any]) -> Any:
-    """Make a subclass of a family that reuses the binned pixels of another family.
+    """Make a subclass of a pyradiomics family class that reuses the binned pixels of another family.
 
-    `cache` stores the binned pixels; it is empty before the first family is measured.
+    `cache` stores the binned pixels; it is empty until the first family is measured.
     """
 
     def apply(self: Any, matrix: Any) -> Any:
@@ -166,7 +170,7 @@ def measure_family(
     values : (rows, cols) array, any unit
         Grey values.
     mask : (rows, cols) uint8 array
-        1 inside the region, 0 outside.
+        Region mask: 1 inside the region, 0 outside.
     pixel_mm : float
         Pixel size, in mm.
     **discretisation : object
@@ -177,9 +181,10 @@ def measure_family(
     dict of str to float
         Value of each feature, keyed by pyradiomics name.
     """
-    logging.getLogger("radiomics").setLevel(logging.CRITICAL)  # pyradiomics logs every family to stderr.
+    logging.getLogger("radiomics").setLevel(logging.CRITICAL)  # By default, pyradiomics logs every family to stderr.
     image, of = _make_image(values, pixel_mm, None), _make_image(mask, pixel_mm, 0)
-    # The image is one slice of a 3D image, measured in its plane; a 2D image gives wrong values with these settings.
+    # The image is one slice of a 3D image and is measured in the slice plane. With these settings, pyradiomics returns
+    # wrong values for a 2D image.
     features = kind(image, of, force2D=True, force2Ddimension=0, **discretisation)
     features.enableAllFeatures()
     return {name: float(value) for name, value in features.execute().items()}
@@ -193,8 +198,8 @@ def _make_mask(values: NDArray[np.generic], mask: NDArray[np.bool_] | None) -> N
 def _make_image(values: NDArray[np.generic], pixel_mm: float, outside: int | None) -> sitk.Image:
     """Make a SimpleITK image with one slice and a border of one pixel.
 
-    The border is needed because pyradiomics 3.0.1 rejects a mask without zeros. `outside` is the value of the border;
-    None repeats the edge pixels.
+    The border is needed because pyradiomics 3.0.1 rejects a mask without zeros. `outside` is the border value; if it is
+    None, the border repeats the edge pixels.
     """
     padded = np.pad(values, 1, mode="edge") if outside is None else np.pad(values, 1, constant_values=outside)
     image = sitk.GetImageFromArray(padded[None])

@@ -1,7 +1,7 @@
 """2D shape features of a mask, as defined by pyradiomics shape2D, for backends without 2D shape features.
 
-The outline is found by marching squares (2D form of Lorensen and Cline 1987). It passes midway between the centres of
-adjacent pixels inside and outside. Pixels that touch only diagonally are not connected, as in pyradiomics.
+The outline is found by marching squares (2D form of Lorensen and Cline 1987). The outline passes midway between the
+centres of adjacent inside and outside pixels. Pixels that touch only diagonally are not connected, as in pyradiomics.
 """
 
 from contextlib import suppress
@@ -13,10 +13,11 @@ from scipy.spatial.distance import pdist
 
 from ...core.checks import Array
 
-# Area inside the outline within a square of four pixel centres, as a fraction of the square, by arrangement of the
-# corners that are inside.
+# Area enclosed by the outline in a square between four adjacent pixel centres, as a fraction of the square. The key is
+# the arrangement of the square corners that are inside the mask.
 _AREAS = {"none": 0.0, "one": 0.125, "side": 0.5, "diagonal": 0.25, "three": 0.875, "four": 1.0}
-# Length of the outline within a square of four pixel centres, in pixels, by arrangement of the corners inside.
+# Length of the outline in a square between four adjacent pixel centres, in pixels. The key is the arrangement of the
+# square corners that are inside the mask.
 _LENGTHS = {"none": 0.0, "one": 0.5**0.5, "side": 1.0, "diagonal": 2 * 0.5**0.5, "three": 0.5**0.5, "four": 0.0}
 
 _NAMES = (
@@ -42,7 +43,7 @@ def measure_shape(mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
     """
     if not mask.any():
         return dict.fromkeys(_NAMES, np.nan)
-    # skimage.measure is not used, because it takes 6.6 times as long and differs by up to 9e-16.
+    # skimage.measure is not used, because it is 6.6 times slower. Results differ by at most 9e-16.
     inside = np.pad(mask, 1)
     counts = _count_squares(inside)
     area_mm2 = pixel_mm**2 * sum(_AREAS[kind] * count for kind, count in counts.items())
@@ -63,7 +64,7 @@ def measure_shape(mask: NDArray[np.bool_], pixel_mm: float) -> dict[str, float]:
 
 
 def _count_squares(inside: NDArray[np.bool_]) -> dict[str, int]:
-    """Count the squares of four pixel centres by number and arrangement of the corners inside the mask."""
+    """Count the squares between four adjacent pixel centres by arrangement of the corners inside the mask."""
     one, two, three, four = inside[:-1, :-1], inside[:-1, 1:], inside[1:, :-1], inside[1:, 1:]
     corners = one.astype(int) + two + three + four
     kinds = ("none", "one", "side", "three", "four")
@@ -79,7 +80,7 @@ def _find_crossings(inside: NDArray[np.bool_]) -> Array:
 
 
 def _largest_distance_px(points: Array) -> float:
-    """Compute the largest distance between two of several points (points, 2), in px, from their convex hull."""
+    """Compute the largest distance between any two points (points, 2), in pixels, from their convex hull."""
     with suppress(QhullError):  # Collinear points have no convex hull.
         points = points[ConvexHull(points).vertices]
     return float(pdist(points).max())

@@ -5,7 +5,7 @@ from scipy import stats
 
 from ...core.checks import Array
 
-# Minimum Nyquist frequency of the pixels for which fine structures are measured, in cycles/mm.
+# Minimum Nyquist frequency at which the feature fine_over_coarse is measured, in cycles/mm.
 _MIN_RESOLVED_PER_MM = 2.75
 
 
@@ -15,7 +15,7 @@ def measure_texture(patch: Array, pixel_mm: float) -> dict[str, float]:
     Parameters
     ----------
     patch : (side, side) array, DN
-        Linear pixels.
+        Patch of linear pixels.
     pixel_mm : float
         Pixel size, in mm.
 
@@ -23,10 +23,10 @@ def measure_texture(patch: Array, pixel_mm: float) -> dict[str, float]:
     -------
     dict of str to float
         slope_LOW_HIGH: slope of the radially averaged power spectrum (log-log, Hann window) between two frequencies in
-        cycles/mm. vertical_over_horizontal: power of vertical lines divided by power of horizontal lines (within 30
-        deg), at 0.3 to 1.5 cycles/mm. fine_over_coarse: mean power at 2 to 3 cycles/mm divided by mean power at 0.4 to
-        0.8 cycles/mm; omitted if pixels are too coarse. sd_over_mean, skewness and excess_kurtosis: statistics of the
-        grey values.
+        cycles/mm. vertical_over_horizontal: power of vertical structures divided by power of horizontal structures
+        (within 30 deg), at 0.3 to 1.5 cycles/mm. fine_over_coarse: mean power at 2 to 3 cycles/mm divided by mean power
+        at 0.4 to 0.8 cycles/mm; omitted if pixels are too coarse. sd_over_mean, skewness and excess_kurtosis:
+        statistics of the grey values.
     """
     side = len(patch)
     row, col = (part.ravel() for part in np.mgrid[:side, :side] / side)

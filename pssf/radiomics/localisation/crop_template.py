@@ -1,4 +1,4 @@
-"""Cropping of templates to the area that localisation uses, which makes them small enough for a saved model."""
+"""Cropping of templates to the area that joint localisation uses, which makes them small enough for a model file."""
 
 from dataclasses import replace
 
@@ -8,30 +8,31 @@ from ...core.resample import downsample_by_blocks
 from ...data.analysis.localisation_table import LocalisationSettings
 from .templates import MAX_SEARCH_PIXEL_MM, Template
 
-# Margin around a patch, in standard deviations of the window for edge normalisation.
+# Margin around an edge patch, in standard deviations of the edge normalisation window.
 _TILES = 2.0
-# Factor by which the cropped area is larger than a patch because of blur and rotation, dimensionless.
+# Factor by which the cropped area is larger than an edge patch, to allow for blur and rotation; assumed.
 _MORE = 1.15
 
 
 def crop_template(template: Template, region_mm: float, table: LocalisationSettings) -> Template:
-    """Reduce a template to the pixel size and the area that localisation uses.
+    """Downsample and crop a template to the pixel size and the area that joint localisation uses.
 
-    Localisation gives the same result with the full and the reduced template, up to rounding.
+    Apart from rounding errors, localisation gives the same result with the full template and the cropped template.
 
     Parameters
     ----------
     template : Template
-        Template to reduce.
+        Template to crop.
     region_mm : float
-        Edge length of a region around the joint line that is also kept, in mm, as far as the template contains it.
+        Edge length of the region around the joint line that is always retained, in mm, as far as the template contains
+        it.
     table : LocalisationSettings
-        Search settings, which determine the area.
+        Search settings, which determine the cropped area.
 
     Returns
     -------
     Template
-        Reduced template.
+        Cropped template.
     """
     laws = (table.wide, table.narrow)
     half = region_mm / 2

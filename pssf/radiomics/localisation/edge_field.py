@@ -10,7 +10,8 @@ from ...core.checks import Array
 
 # Standard deviation of the Gaussian derivative filter, in pixels of the resampled image.
 _BLUR_PX = 1.0
-# Fraction of the mean squared gradient of the image that is added to that of a window, to suppress faint edges.
+# Fraction of the mean squared gradient of the image that is added to the squared gradient in a window, so that faint
+# edges are suppressed.
 _FAINT = 0.02
 
 
@@ -30,7 +31,7 @@ def compute_edge_field(density: Array, tile_px: float) -> NDArray[np.float32]:
     Returns
     -------
     (2, rows, cols) float32 array
-        Downward and rightward component, dimensionless; magnitude 0 to 1.
+        Downward and rightward component of the edge field, dimensionless; magnitude 0 to 1.
     """
     blurred = [ndimage.gaussian_filter(density, _BLUR_PX, order=order, mode="nearest") for order in ((1, 0), (0, 1))]
     squared = blurred[0] ** 2 + blurred[1] ** 2
@@ -40,7 +41,7 @@ def compute_edge_field(density: Array, tile_px: float) -> NDArray[np.float32]:
     return np.stack(blurred / strength).astype(np.float32)
 
 
-@lru_cache(maxsize=128)  # A run needs only a few different lengths.
+@lru_cache(maxsize=128)  # One run uses only a few different image lengths.
 def _make_gaussian_matrix(length: int, sd_px: float) -> Array:
     """Make the matrix (length, length) of a 1D Gaussian filter.
 
@@ -68,7 +69,7 @@ class Pyramid:
         return self.levels[0].shape
 
     def edges(self, zoom: float, tile_px: float) -> NDArray[np.float32]:
-        """Return the edge field of the resampled image; see `compute_edge_field`.
+        """Return the edge field of the resampled image; see the function `compute_edge_field`.
 
         Parameters
         ----------
@@ -80,7 +81,7 @@ class Pyramid:
         Returns
         -------
         (2, rows, cols) float32 array
-            Downward and rightward component, dimensionless.
+            Downward and rightward component of the edge field, dimensionless.
         """
         asked = (zoom, tile_px)
         if asked not in self._edges:
@@ -88,7 +89,7 @@ class Pyramid:
         return self._edges[asked]
 
     def resample_image(self, zoom: float) -> Array:
-        """Resample the image without aliasing; pixel i of the result is at (i + 0.5) / zoom - 0.5 in the original.
+        """Resample the image without aliasing; new pixel i is at original position (i + 0.5) / zoom - 0.5.
 
         Parameters
         ----------
@@ -106,16 +107,16 @@ class Pyramid:
         level = min(level, len(self.levels) - 1)
         image, rest = self.levels[level], zoom * 2**level
         shape = [max(1, round(length * zoom)) for length in self.shape]
-        # In the selected pyramid level, each target pixel covers 1 to 2 source pixels per axis.
+        # The blur prevents aliasing: each resampled pixel covers 1 to 2 pixels of the selected pyramid level per axis.
         soft = ndimage.gaussian_filter(image, 0.5 * np.sqrt(max(1.0 / rest**2 - 1.0, 0.0)), mode="nearest")
         down, across = ((np.arange(length) + 0.5) / rest - 0.5 for length in shape)
         return _interpolate_rows(_interpolate_rows(soft, down).T, across).T
 
 
 def _interpolate_rows(values: Array, positions: Array) -> Array:
-    """Interpolate the rows of an array (n, m) linearly at row positions (k,); return (k, m).
+    """Interpolate the rows of an array (n, m) linearly at row positions (k,); return an array (k, m).
 
-    A position outside the array gives the first or last row.
+    Positions beyond the first or last row return the first or last row.
     """
     within = np.clip(positions, 0, len(values) - 1)
     first = np.minimum(within.astype(np.int64), max(0, len(values) - 2))
@@ -127,7 +128,7 @@ def _interpolate_rows(values: Array, positions: Array) -> Array:
 def _halve_image(image: Array) -> Array:
     """Average blocks of 2 x 2 pixels; return (rows // 2, cols // 2).
 
-    `downsample_by_blocks` is not used, because it takes twice as long and rounds differently.
+    `downsample_by_blocks` is not used, because it is half as fast and rounds differently.
     """
     rows, cols = (length // 2 * 2 for length in image.shape)
     pairs = image[:rows:2, :cols] + image[1:rows:2, :cols]

@@ -1,4 +1,4 @@
-"""Candidates for the joint: best whole-joint matches, each with the best medial-compartment match nearby."""
+"""Joint candidates: the best whole-joint matches, each with the best medial-compartment match nearby."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -53,7 +53,7 @@ class Candidates:
     table : LocalisationSettings
         Search settings and thresholds.
     chance_slope : float
-        Increase of the chance score of a compartment match per unit of the natural logarithm of the pixel size.
+        Increase in the chance score of compartment matches per unit of ln(pixel size).
     """
 
     image: Pyramid
@@ -63,10 +63,10 @@ class Candidates:
     chance_slope: float
 
     def select_pair(self, way: str, side: str) -> MatchPair:
-        """Select the whole-joint match of a side that has the best sum of whole-joint and compartment score.
+        """Select the pair of whole-joint and compartment match with the highest sum of scores, for one side.
 
-        The whole-joint score alone is not sufficient. It can be as high for a wrong size as for the right size if the
-        bone shape differs from the templates. The compartment score is lower for a wrong size.
+        The whole-joint score alone is not sufficient. If the bone shape differs from the templates, a wrong size can
+        have as high a whole-joint score as the true size. The compartment score is lower for a wrong size.
 
         Parameters
         ----------
@@ -78,7 +78,7 @@ class Candidates:
         Returns
         -------
         MatchPair
-            Pair with the best sum of scores.
+            Pair with the highest sum of scores.
         """
         return max((self._make_pair(wide) for wide in self._select_candidates(way, side)), key=lambda pair: pair.excess)
 
@@ -95,7 +95,7 @@ class Candidates:
         Returns
         -------
         float
-            Highest score, dimensionless.
+            Highest whole-joint score, dimensionless.
         """
         return max(match.score for match in self.matches if match.orientation == way and match.side in sides)
 
@@ -108,7 +108,7 @@ class Candidates:
         )
 
     def _select_candidates(self, way: str, side: str) -> list[Match]:
-        """Select the best whole-joint match, and nearly as good matches at other positions or of other sizes."""
+        """Select the best whole-joint match, and almost equally good matches at other positions or of other sizes."""
         search, few = self.table.search, list[Match]()
         of = sorted(
             (m for m in self.matches if (m.orientation, m.side) == (way, side)), key=lambda match: -match.excess
@@ -140,7 +140,7 @@ def relative_margin(score: float, other: float) -> float:
 
 
 def _is_same_place(one: Match, other: Match, table: LocalisationSettings) -> bool:
-    """Report whether two matches have about the same position and size, so their compartment searches would overlap."""
+    """Report whether two matches have about the same position and size, so that their compartment searches overlap."""
     away_mm = np.hypot(one.row - other.row, one.col - other.col) * other.template_mm_per_px
     sizes = abs(np.log(one.template_mm_per_px / other.template_mm_per_px))
     same = away_mm <= table.search.reach_mm and sizes <= 2 * np.log(table.search.scale_step)
@@ -148,7 +148,7 @@ def _is_same_place(one: Match, other: Match, table: LocalisationSettings) -> boo
 
 
 def _interpolate_size(best: Match, matches: Sequence[Match]) -> Match:
-    """Refine the size of a match by a parabola through the scores of this size and the two adjacent sizes."""
+    """Refine the size of a match by a parabola through its score and the scores of the two adjacent sizes."""
     alike = [m for m in matches if (m.side, m.orientation, m.polarity) == (best.side, best.orientation, best.polarity)]
     sizes = sorted(alike, key=lambda match: match.template_mm_per_px)
     at = sizes.index(best)
@@ -202,6 +202,6 @@ def _find_compartment_match(
 
 
 def _slice_within_reach(positions: Array, centre: float, reach: float) -> slice:
-    """Return the slice of ascending positions within a distance of a centre, plus one position at each end."""
+    """Return the slice of ascending positions within a distance of a centre, extended by one position at each end."""
     first, last = np.searchsorted(positions, (centre - reach, centre + reach))
     return slice(max(0, int(first) - 1), min(len(positions), int(last) + 1))

@@ -1,4 +1,4 @@
-"""Joint localisation: position of the medial joint line in a radiograph, with side, orientation and size."""
+"""Joint localisation: position of the medial joint line in a radiograph, with knee side, orientation and size."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -48,25 +48,27 @@ class JointLocation:
     compartment_score : float
         Correlation of the image edges with the template edges of the medial compartment, -1 to 1.
     side : {"right", "left"}
-        Left or right knee: the given side, or if none is given the side that matches better.
+        Left or right knee: the specified side, or the better matching side if none is specified.
     side_margin : float
-        Highest whole-joint score of `side` minus the highest whole-joint score of the other side, over all positions.
+        Highest whole-joint score of `side` minus the highest whole-joint score of the opposite side, over all
+        positions.
     side_evidence : float
         Evidence for `side`: about 1 if the side is correct, about -1 if it is wrong; see `compute_side_evidence`.
     orientation : {"upright", "upside down"}
         Orientation of the knee.
     orientation_margin : float
-        Score of `orientation` minus the highest score of the other orientation.
+        Highest score of `orientation` minus the highest score of the opposite orientation.
     polarity : {"bone bright", "bone dark"}
         Polarity of the grey values.
     scale : float
-        Size of the knee on the radiograph divided by the size of the template knee at its detector, dimensionless.
+        Size of the knee on the radiograph divided by the size of the template knee on its own detector, dimensionless.
     pixel_mm : float
-        Pixel size, in mm: the given pixel size, or if none is given an estimate from the size of the joint.
+        Pixel size, in mm: the specified pixel size, or an estimate from the joint size if none is specified.
     pixel_mm_source : {"given", "plateau"}
-        Source of the pixel size: given, or estimated from the width of the tibial plateau.
+        Source of the pixel size: specified ("given"), or estimated from the width of the tibial plateau ("plateau").
     match_distance_mm : float
-        Vertical distance between whole-joint match and compartment match, in mm at the size of the template knee.
+        Vertical distance between the whole-joint match and the compartment match, in mm at the size of the template
+        knee.
     visible_fraction : float
         Fraction of the whole-joint patch that is inside the radiograph.
     pixel_height : float
@@ -98,12 +100,12 @@ class JointLocation:
 
     @property
     def mean_score(self) -> float:
-        """Mean of whole-joint and compartment score, dimensionless; it decides whether the image shows a knee."""
+        """Mean of whole-joint and compartment score, dimensionless; images with a low mean are rejected ("no knee")."""
         return (self.score + self.compartment_score) / 2
 
     @property
     def orientation_evidence(self) -> float:
-        """Relative margin of the orientation; negative if the other orientation matches better. See `relative_margin`.
+        """Relative margin of the orientation, see `relative_margin`; negative if the other orientation matches better.
 
         The margin is relative, because the score difference between orientations is less reliable if the bone shape
         differs from the templates and both scores are low.
@@ -197,21 +199,24 @@ def locate_joint(
         Image values that increase with attenuation: the negative logarithm of a signal, or a displayed radiograph. Row
         0 is proximal, and the fibula of a right knee is on the left. A Pyramid caches edge fields for further searches.
     templates : sequence of Template
-        Template radiographs. The whole joint is matched with templates of knees with severe osteoarthritis if `severe`,
-        else with the first and the last of the other templates. The medial compartment is matched with all templates.
+        Template radiographs. If `severe` is True, the whole joint is matched with the templates of knees with severe
+        osteoarthritis. Otherwise, it is matched with the first and the last of the other templates. The medial
+        compartment is matched with all templates.
     table : LocalisationSettings
         Search settings and rejection thresholds.
     side : {"right", "left"} or None
         Left or right knee; None if unknown.
     pixel_mm : float or None
-        Pixel size, in mm; None if unknown, then it is estimated.
+        Pixel size, in mm; if None, the pixel size is estimated from the joint size.
     region_px : int or None
-        Edge length of the region around the joint line that must be inside the image, in pixels; None for no region.
+        Edge length of the region around the joint line that must be inside the image, in pixels; None to require only
+        the joint line.
     min_plateau_fraction : float
-        Smallest searched width of the tibial plateau, as a fraction of the image width. It is used if the pixel size is
-        unknown.
+        Smallest width of the tibial plateau in the search, as a fraction of the image width. It is used only if the
+        pixel size is unknown.
     severe : bool
-        True searches for a knee with severe osteoarthritis; other templates then serve for the medial compartment only.
+        If True, search for a knee with severe osteoarthritis; templates of other knees are then used for the medial
+        compartment only.
 
     Returns
     -------
@@ -234,13 +239,13 @@ def locate_joint(
        compared.
     2. The medial compartment is searched near the best whole-joint matches, over all templates, rotations and sizes,
        with subpixel precision. The pair with the best sum of the two scores is the result.
-    3. The given side and pixel size are compared with the result.
+    3. The specified side and pixel size are compared with the best pair.
     """
     if side is not None:
         require_choice("side", side, SIDES)
     if all(template.severe for template in templates):
         raise InputError(
-            f"templates must include one without severe osteoarthritis, got {len(templates)} templates, all with it"
+            f"templates must include a knee without severe osteoarthritis, got {len(templates)} severe templates"
         )
     search, of_sides = find_candidates(density, templates, table, pixel_mm, min_plateau_fraction, severe)
     for_right = compute_side_evidence(search.image, of_sides, table)
@@ -291,16 +296,16 @@ def find_candidates(
     pixel_mm : float or None
         Pixel size, in mm; None if unknown.
     min_plateau_fraction : float
-        Smallest searched width of the tibial plateau, as a fraction of the image width.
+        Smallest width of the tibial plateau in the search, as a fraction of the image width.
     severe : bool
-        True searches for a knee with severe osteoarthritis.
+        If True, search for a knee with severe osteoarthritis.
 
     Returns
     -------
     candidates : Candidates
         Whole-joint matches.
     pairs : dict of str to MatchPair
-        Best pair of each side.
+        Best pair of whole-joint and compartment match, keyed by side.
 
     Raises
     ------
@@ -319,7 +324,9 @@ def find_candidates(
             for match in matched
         ]
     if not matched:
-        raise InputError(f"image must be large enough for a knee joint, got {density.shape} pixels of {pixel_mm} mm")
+        raise InputError(
+            f"image must be large enough for a knee joint, got {density.shape} pixels with pixel size {pixel_mm} mm"
+        )
     chance = _chance_slope(pixel_mm, table)
     search = Candidates(image=image, templates=(*usual, *added), matches=matched, table=table, chance_slope=chance)
     of_sides = _select_orientation(search)
@@ -334,8 +341,8 @@ def find_candidates(
 def _select_orientation(search: Candidates) -> dict[str, MatchPair]:
     """Select the best pair of each side, upright unless an upside-down pair matches clearly better.
 
-    The whole-joint score of an upside-down pair must exceed the upright score by a threshold, and its compartment score
-    must be higher too.
+    The whole-joint score of an upside-down pair must exceed the upright score by a threshold. The compartment score of
+    the upside-down pair must also be higher.
     """
     upright = {side: search.select_pair(ORIENTATIONS[0], side) for side in SIDES}
     best = max(upright.values(), key=lambda pair: pair.excess)
@@ -369,7 +376,7 @@ def _list_units_mm(
     table: LocalisationSettings,
     min_plateau_fraction: float,
 ) -> list[float]:
-    """List the searched sizes, as mm of the template per pixel of the image."""
+    """List the searched knee sizes, as mm of the template per pixel of the image."""
     if pixel_mm is not None:
         require_in_range("pixel_mm", pixel_mm, 0.001, 50, "mm")
         smallest, largest = table.search.scale_range
@@ -377,12 +384,12 @@ def _list_units_mm(
     plateau_mm = template.known_plateau_mm
     shares = (share for share in _geometric_steps(*table.search.plateau_share, table) if share >= min_plateau_fraction)
     units = (plateau_mm / (share * shape[1]) for share in shares)
-    # Pixels coarser than the pixels of the whole-joint patch cannot locate the joint to within millimetres.
+    # Pixels larger than those of the whole-joint patch cannot locate the joint with millimetre accuracy.
     return [unit_mm for unit_mm in units if unit_mm <= table.wide.pitch_mm]
 
 
 def _list_smaller_units_mm(pixel_mm: float, table: LocalisationSettings) -> list[float]:
-    """List the sizes below the usual range, as mm of the template per pixel of the image."""
+    """List knee sizes below the usual search range, as mm of the template per pixel of the image."""
     return [
         pixel_mm / scale
         for scale in _geometric_steps(table.search.fallback_min_scale, table.search.scale_range[0], table)
@@ -390,7 +397,7 @@ def _list_smaller_units_mm(pixel_mm: float, table: LocalisationSettings) -> list
 
 
 def _geometric_steps(low: float, high: float, table: LocalisationSettings) -> list[float]:
-    """List sizes from low to high, with equal ratios that do not exceed the scale step."""
+    """List sizes from low to high, with a constant ratio that does not exceed the scale step."""
     count = int(np.ceil(np.log(high / low) / np.log(table.search.scale_step))) + 1
     return [float(value) for value in np.geomspace(low, high, count)]
 
@@ -398,7 +405,7 @@ def _geometric_steps(low: float, high: float, table: LocalisationSettings) -> li
 def _estimate_pitch_and_scale(
     best: Match, template: Template, pixel_mm: float | None, table: LocalisationSettings
 ) -> tuple[float, str, float]:
-    """Return pixel size in mm, source of the pixel size, and size of the knee divided by that of the template knee."""
+    """Return the pixel size in mm, its source, and the knee size divided by the size of the template knee."""
     if pixel_mm is not None:
         return pixel_mm, "given", pixel_mm / best.template_mm_per_px
     scale = table.plateau.mean_mm / template.known_plateau_mm
@@ -406,9 +413,9 @@ def _estimate_pitch_and_scale(
 
 
 def _chance_slope(pixel_mm: float | None, table: LocalisationSettings) -> float:
-    """Return the increase of the chance score of a compartment match per unit of the logarithm of the pixel size.
+    """Return the increase in the chance score of compartment matches per unit of ln(pixel size).
 
-    The increase is 0 if the pixel size is known, because scores of different sizes are then not compared.
+    If the pixel size is known, the increase is 0, because scores of different sizes are not compared.
     """
     return table.chance.narrow_rise if pixel_mm is None else 0.0
 
@@ -416,8 +423,8 @@ def _chance_slope(pixel_mm: float | None, table: LocalisationSettings) -> float:
 def _compute_chance_score(shape: tuple[int, ...], unit_mm: float, table: LocalisationSettings) -> float:
     """Compute the chance score: the expected best score in an image without a knee, for one knee size.
 
-    Smaller knees have more possible positions. The chance score is the expected maximum of that number of normal values
-    (Cramer 1946, leading term).
+    Smaller knees have more possible positions in an image. The chance score is the expected maximum of as many normally
+    distributed values as there are positions (Cramer 1946, leading term).
     """
     law, by_chance = table.wide, table.chance
     patch_mm = (law.up_mm + law.down_mm, law.lateral_mm + law.medial_mm)
@@ -435,7 +442,7 @@ def _decide_status(
     table: LocalisationSettings,
     given_side: str | None = None,
 ) -> str:
-    """Return the first reason to reject a match, or "found"; the side is checked only if it was given."""
+    """Return the first reason to reject a match, or "found"; the side is checked only if it is specified."""
     limit = table.thresholds
     reasons = {
         "no knee": joint.mean_score < limit.min_score
@@ -451,7 +458,7 @@ def _decide_status(
 
 
 def _is_doubtful(joint: JointLocation, table: LocalisationSettings) -> bool:
-    """Report whether a match has score and side evidence as low as matches on simulated legs without bones."""
+    """Report whether the score and the side evidence of a match are as low as for simulated legs without bones."""
     limit = table.thresholds
     return (
         joint.mean_score < limit.min_score_unknown_pitch

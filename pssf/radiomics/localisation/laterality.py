@@ -1,4 +1,4 @@
-"""Laterality: evidence for a right or left knee from the difference between edges and their mirror image."""
+"""Laterality: evidence for a right or left knee from the differences between image edges and mirrored image edges."""
 
 from collections.abc import Mapping
 
@@ -21,7 +21,7 @@ from .templates import (
 
 
 def compute_side_evidence(image: Pyramid, pairs_by_side: Mapping[str, MatchPair], table: LocalisationSettings) -> float:
-    """Compute the evidence for a right knee, with edge weights that were fitted to simulated knees.
+    """Compute the evidence for a right knee, with edge weights fitted to simulated knees.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def compute_mirror_difference(
     pairs_by_side : dict of str to MatchPair
         Best match of each side, from `find_candidates`.
     table : LocalisationSettings
-        Localisation settings with patch and block size.
+        Localisation settings, which include the patch size and the block size.
 
     Returns
     -------
@@ -65,9 +65,9 @@ def compute_mirror_difference(
 
 
 def _sample_edges(image: Pyramid, match: Match, law: PatchSettings, block: int) -> NDArray[np.float64]:
-    """Sample the edge field (2, rows, cols) around a match, converted to an upright right knee, averaged over blocks.
+    """Sample the edge field (2, rows, cols) around a match, as an upright right knee, averaged over blocks.
 
-    The edge field is 0 outside the image.
+    The sampled edge field is 0 outside the image.
     """
     zoom = match.template_mm_per_px / law.pitch_mm
     sign = 1.0 if match.polarity == POLARITIES[0] else -1.0
@@ -83,6 +83,6 @@ def _sample_edges(image: Pyramid, match: Match, law: PatchSettings, block: int) 
 
 
 def _pixel_offsets(before: int, after: int, forwards: bool) -> Array:
-    """Return pixel offsets from the joint line in the direction of the image axis, reversed if not `forwards`."""
+    """Return pixel offsets from the joint line along the image axis, in reverse order if `forwards` is False."""
     first, last = (before, after) if forwards else (after, before)
     return np.arange(-first, last + 1.0)

@@ -26,8 +26,8 @@ def locate_joint_in_film(
     """Locate the joint, and estimate the ratio of pixel height to pixel width; see `locate_joint`.
 
     If the pixel size is known, pixels are assumed to be square. Otherwise, if the score on square pixels is low, other
-    aspect ratios, severely deformed knees and small knees are tried. The best result is accepted if its score exceeds a
-    threshold for several attempts, and no upside-down match is better.
+    aspect ratios, severely deformed knees and small knees are tried. The best result is accepted if its score exceeds
+    the threshold for repeated attempts, and no upside-down match is better.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def _locate_at_pixel_height(
 
 
 def _select_usual_or_severe(usual: JointLocation, severe: JointLocation, table: LocalisationSettings) -> JointLocation:
-    """Select the result for templates with severe osteoarthritis if it is plausible and better, else the other one."""
+    """Select the severe-osteoarthritis result if it is plausible and better, else the usual result."""
     limits = table.thresholds
     sound = (
         severe.status == "found"
@@ -101,9 +101,9 @@ def _select_usual_or_severe(usual: JointLocation, severe: JointLocation, table: 
 
 
 def _select_best_location(locations: Sequence[JointLocation], table: LocalisationSettings) -> JointLocation:
-    """Select the best location that is found or upside down; if there is none, select the first location.
+    """Select the best location among accepted and upside-down matches; if there is none, select the first location.
 
-    The first location must be the location on square pixels.
+    The first location must be the location for square pixels.
     """
     limits = table.thresholds
 

@@ -12,7 +12,7 @@ def cut_region(pixels: NDArray[np.generic], row: float, col: float, size: int = 
     Parameters
     ----------
     pixels : (rows, cols) array, any unit
-        Image from which the region is cut.
+        Image that contains the region.
     row : float
         Row of the region centre, in pixels.
     col : float
@@ -32,7 +32,7 @@ def cut_region(pixels: NDArray[np.generic], row: float, col: float, size: int = 
     """
     if not region_fits(pixels.shape, row, col, size):
         raise InputError(
-            f"region of {size} px must fit into the image of {pixels.shape} px, got centre ({row:.0f}, {col:.0f})"
+            f"region must fit into the image of {pixels.shape} px, got {size} px centred at ({row:.0f}, {col:.0f})"
         )
     top, left = _top_left_corner(row, col, size)
     return pixels[top : top + size, left : left + size]

@@ -12,9 +12,9 @@ from ...data.analysis.localisation_table import PatchSettings
 from .edge_field import Pyramid
 from .templates import Pose, compute_spectra
 
-# Fourier-transform lengths are rounded up to multiples of this, so that few different lengths occur, in pixels.
+# Fourier-transform lengths are rounded up to multiples of this number of pixels to limit the number of lengths.
 _LENGTH_STEP_PX = 16
-# Minimum number of rows and columns of a searched edge field.
+# Minimum number of rows and columns of a searched edge field, in pixels.
 _MIN_SIDE_PX = 8
 Window = tuple[slice, slice]
 POLARITIES = ("bone bright", "bone dark")
@@ -27,7 +27,7 @@ class Match:
     Attributes
     ----------
     score : float
-        Correlation of image edges with template edges, -1 to 1. It is lower where the image has less structure.
+        Correlation of image edges with template edges, -1 to 1. The score is lower where the image has less structure.
     side : {"right", "left"}
         Left or right knee.
     orientation : {"upright", "upside down"}
@@ -39,7 +39,7 @@ class Match:
     col : float
         Column of the medial joint line, in pixels of the image.
     template_mm_per_px : float
-        Size, as mm of the template per pixel of the image.
+        Knee size, as mm of the template per pixel of the image.
     visible_fraction : float
         Fraction of the patch weight that is inside the image.
     chance_score : float
@@ -72,7 +72,7 @@ def find_matches(
     image : Pyramid
         Searched image.
     units_mm : iterable of float
-        Searched sizes, as mm of the template per pixel of the image.
+        Searched knee sizes, as mm of the template per pixel of the image.
     patches : iterable of Pose
         Searched poses.
     law : PatchSettings
@@ -83,7 +83,7 @@ def find_matches(
     Yields
     ------
     Match
-        Best match of a pose, polarity and size. Sizes at which the image has too few pixels are omitted.
+        Best match of a pose, polarity and size. Sizes for which the image has too few pixels are omitted.
     """
     patches = tuple(patches)
     for unit_mm in units_mm:
@@ -101,8 +101,8 @@ def compute_score_maps(
 ) -> Iterator[tuple[Pose, NDArray[np.float32]]]:
     """Compute the score of every patch of each pose at the pixels of an edge field.
 
-    The correlation is normalised by the edge power of patch and image, but at least by that of the patch. Air and
-    muscle, which have weak edges, therefore have low scores.
+    The correlation is normalised by the edge power of the patch and the image; the image power is at least the patch
+    power. Air and muscle, which have weak edges, therefore have low scores.
 
     Parameters
     ----------
@@ -111,14 +111,14 @@ def compute_score_maps(
     patches : iterable of Pose
         Poses whose patches are correlated with the edge field.
     window : tuple of slice or None
-        Rows and columns for which scores are computed; None computes all.
+        Rows and columns for which scores are computed; None for all.
 
     Yields
     ------
     pose : Pose
         Pose to which the scores belong.
     scores : (patches, rows, cols) float32 array
-        Score of each patch with the medial joint line at each pixel, dimensionless.
+        Score of each patch, with its medial joint line placed at each pixel, dimensionless.
     """
     places = window or _full_window(field.shape[1:])
     parts = np.stack([*field, (field**2).sum(axis=0)])
@@ -135,11 +135,11 @@ def compute_score_maps(
         yield pose, alike / np.sqrt(own * np.maximum(power, own))
 
 
-@lru_cache(maxsize=256)  # The cache is large enough for all sizes of an image.
+@lru_cache(maxsize=256)  # The cache size is sufficient for all knee sizes searched in one image.
 def _compute_visible_fraction(image: tuple[int, ...], pose: Pose) -> NDArray[np.float32]:
     """Compute the fraction of the patch weight that is inside an image.
 
-    The result (rows, cols) has one value per position of the joint line.
+    The returned array (rows, cols) has one value per position of the joint line.
     """
     _, wanted, shape = _plan_windows(image, pose, _full_window(image))
     inside = fft.rfft2(np.ones(image, np.float32), shape)
@@ -147,13 +147,13 @@ def _compute_visible_fraction(image: tuple[int, ...], pose: Pose) -> NDArray[np.
 
 
 def _full_window(image: tuple[int, ...]) -> Window:
-    """Return the window that contains a whole image."""
+    """Return the window of row and column slices that covers a whole image."""
     rows, cols = image
     return slice(0, rows), slice(0, cols)
 
 
 def _plan_windows(image: tuple[int, ...], pose: Pose, window: Window) -> tuple[Window, Window, tuple[int, int]]:
-    """Return the image window that patches can overlap, the slices of `window` inside it, and the transform shape."""
+    """Return the image window that patches overlap, the slices of `window` in it, and the Fourier-transform shape."""
     near, wanted, shape = [], [], []
     for length, side, before, at in zip(image, pose.weight.shape, pose.anchor, window, strict=True):
         after = side - 1 - before
@@ -166,7 +166,7 @@ def _plan_windows(image: tuple[int, ...], pose: Pose, window: Window) -> tuple[W
 
 
 def _fast_length(length: int) -> int:
-    """Round a length up to a length with a fast Fourier transform, starting at a multiple of 16 pixels."""
+    """Round a length up to a multiple of 16 pixels, and then to a length with a fast Fourier transform."""
     return int(fft.next_fast_len(-(-length // _LENGTH_STEP_PX) * _LENGTH_STEP_PX, real=True))
 
 

@@ -16,9 +16,9 @@ from .edge_field import compute_edge_field
 EdgeField = NDArray[np.float32]
 SIDES = ("right", "left")
 ORIENTATIONS = ("upright", "upside down")
-# Maximum pixel size to which an image is averaged before the search, in mm.
+# Maximum pixel size after downsampling an image for the search, in mm.
 MAX_SEARCH_PIXEL_MM = 0.3
-# Margin around a patch within which edges contribute to the normalisation, in standard deviations of the window.
+# Margin around a patch whose edges contribute to the normalisation, in standard deviations of the window.
 _MARGIN_TILES = 2.0
 
 
@@ -29,7 +29,7 @@ class Template:
     Parameters
     ----------
     pixels : (rows, cols) array
-        Linear pixels, in DN.
+        Linear pixel values, in DN.
     row : float
         Row of the medial joint line, in pixels.
     col : float
@@ -67,13 +67,14 @@ class Template:
         """Width of the tibial plateau at the detector, in mm; InputError is raised if it is unknown."""
         if self.plateau_mm is None:
             raise InputError(
-                "template plateau_mm must be the width in mm, got plateau_mm = None: the pixel size is unknown"
+                "template plateau_mm must be the width in mm, got plateau_mm = None: "
+                "the width is needed to estimate the pixel size"
             )
         return self.plateau_mm
 
     @property
     def scalar_values(self) -> tuple[float | bool | None, ...]:
-        """All fields except the pixels, for the hash of the settings of a feature record."""
+        """All template fields except the pixels, for the settings hash of feature records."""
         return self.row, self.col, self.pixel_mm, self.plateau_mm, self.severe
 
     @property
@@ -82,7 +83,7 @@ class Template:
         return np.ascontiguousarray(self.pixels).tobytes()
 
     def match_plateau_width(self, other: "Template") -> "Template":
-        """Change the pixel size so that the plateau is as wide as in another template.
+        """Scale the pixel size so that the tibial plateau has the same width as in another template.
 
         Parameters
         ----------
@@ -92,7 +93,7 @@ class Template:
         Returns
         -------
         Template
-            Template with changed pixel size and plateau width.
+            Template with the scaled pixel size and plateau width.
 
         Raises
         ------
@@ -118,7 +119,7 @@ class Pose:
     power : tuple of float
         Edge power of each patch: sum of weight times squared edge field.
     weight : (rows, cols) array
-        Weight of each pixel, dimensionless.
+        Weight of each patch pixel, dimensionless.
     anchor : tuple of int
         Row and column of the medial joint line in the patch, in pixels.
     """
@@ -132,14 +133,14 @@ class Pose:
 
 
 class Spectra(NamedTuple):
-    """Fourier transforms of the patches and the weight of a pose, reversed about the anchor for correlation.
+    """Fourier transforms of the edge patches and weights of a pose, reversed about the anchor for correlation.
 
     Attributes
     ----------
     fields : (patches, 2, rows, cols // 2 + 1) complex array
         Fourier transforms of the edge fields of the patches.
     weight : (rows, cols // 2 + 1) complex array
-        Fourier transform of the weight.
+        Fourier transform of the patch weights.
     """
 
     fields: NDArray[Any]
@@ -147,7 +148,7 @@ class Spectra(NamedTuple):
 
 
 def reach_px(law: PatchSettings) -> tuple[int, int, int, int]:
-    """Return the extent of a patch from its medial joint line.
+    """Return the extent of a patch from the medial joint line in all four directions.
 
     Parameters
     ----------
@@ -157,7 +158,7 @@ def reach_px(law: PatchSettings) -> tuple[int, int, int, int]:
     Returns
     -------
     tuple of int
-        Extent upwards, downwards, laterally and medially, in pixels.
+        Extent in the upward, downward, lateral and medial direction, in pixels.
     """
     up, down, lateral, medial = (
         round(length / law.pitch_mm) for length in (law.up_mm, law.down_mm, law.lateral_mm, law.medial_mm)
@@ -166,7 +167,7 @@ def reach_px(law: PatchSettings) -> tuple[int, int, int, int]:
 
 
 def compute_density(pixels: NDArray[np.generic]) -> Array:
-    """Compute the negative logarithm of a linear signal; bone is bright in the result.
+    """Compute the negative logarithm of a linear signal, in which bone is bright.
 
     Parameters
     ----------
@@ -181,7 +182,7 @@ def compute_density(pixels: NDArray[np.generic]) -> Array:
     return np.asarray(-np.log(np.maximum(pixels, 1.0)), np.float64)
 
 
-@lru_cache(maxsize=16)  # Poses are cached, because all radiographs use the same ones.
+@lru_cache(maxsize=16)  # Poses are cached, because all radiographs use the same poses.
 def make_poses(templates: tuple[Template, ...], law: PatchSettings) -> tuple[Pose, ...]:
     """Make the poses of right and left knees, upright and upside down, with their edge patches.
 
@@ -216,21 +217,21 @@ def make_poses(templates: tuple[Template, ...], law: PatchSettings) -> tuple[Pos
     return tuple(patches)
 
 
-@lru_cache(maxsize=512)  # The cache is large enough for all sizes of several image shapes.
+@lru_cache(maxsize=512)  # The cache size is sufficient for all knee sizes searched in images of several shapes.
 def compute_spectra(pose: Pose, shape: tuple[int, int]) -> Spectra:
-    """Compute the Fourier transforms of the patches and the weight of a pose, padded to a shape.
+    """Compute the Fourier transforms of the edge patches and weights of a pose, padded to a shape.
 
     Parameters
     ----------
     pose : Pose
         Pose to transform.
     shape : tuple of int
-        Rows and columns of the transform, not smaller than the patches, in pixels.
+        Rows and columns of the Fourier transform, in pixels; at least those of the patches.
 
     Returns
     -------
     Spectra
-        Fourier transforms of the patches and the weight.
+        Fourier transforms of the patches and the weights.
     """
     to_anchor = [at + 1 - side for side, at in zip(pose.weight.shape, pose.anchor, strict=True)]
 
@@ -242,7 +243,7 @@ def compute_spectra(pose: Pose, shape: tuple[int, int]) -> Spectra:
     return Spectra(fields=transformed(np.stack(pose.fields)), weight=transformed(pose.weight))
 
 
-@lru_cache(maxsize=64)  # Different sets of templates share templates, so each field is cached.
+@lru_cache(maxsize=64)  # Fields are cached, because different sets of templates share templates.
 def _make_template_field(template: Template, law: PatchSettings, turn_deg: float) -> EdgeField:
     """Compute the edge field (2, rows, cols) of a template, rotated about the joint line."""
     up, down, lateral, medial = reach_px(law)
@@ -259,7 +260,7 @@ def _make_template_field(template: Template, law: PatchSettings, turn_deg: float
 
 @lru_cache(maxsize=16)
 def _blur_template(template: Template, law: PatchSettings) -> tuple[Array, float, float, float]:
-    """Reduce and blur the log signal of a template to match the pixel size of a patch.
+    """Downsample and blur the log signal of a template to match the pixel size of a patch.
 
     Return the negative log signal (rows, cols), row and column of the joint line, and the pixel size in mm.
     """
@@ -271,12 +272,12 @@ def _blur_template(template: Template, law: PatchSettings) -> tuple[Array, float
 
 
 def orient_field(plain: EdgeField, side: str, way: str) -> EdgeField:
-    """Convert an edge field from an upright right knee to another side or orientation, or back.
+    """Convert an edge field between an upright right knee and another side or orientation.
 
     Parameters
     ----------
     plain : (2, rows, cols) float32 array
-        Downward and rightward component, dimensionless.
+        Edge field to convert: downward and rightward component, dimensionless.
     side : {"right", "left"}
         Left or right knee; "left" mirrors the field.
     way : {"upright", "upside down"}
@@ -285,7 +286,7 @@ def orient_field(plain: EdgeField, side: str, way: str) -> EdgeField:
     Returns
     -------
     (2, rows, cols) float32 array
-        Converted field; mirrored components have the opposite sign.
+        Converted edge field; mirrored components change sign.
     """
     if side == "left":
         plain = plain[:, :, ::-1] * np.array([1, -1], np.float32)[:, None, None]

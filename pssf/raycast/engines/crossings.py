@@ -1,4 +1,4 @@
-"""Crossings of rays with surfaces, in order along each ray; lengths and density integrals between them."""
+"""Ordered crossings of rays with surfaces, and lengths and density integrals between crossings."""
 
 import math
 from collections.abc import Sequence
@@ -31,12 +31,12 @@ class Window(NamedTuple):
 
 
 class Crossings(NamedTuple):
-    """Crossings of the rays to a window of pixels with one surface.
+    """Crossings of one surface with the rays to a window of pixels.
 
     Attributes
     ----------
     window : Window
-        Pixels of the rays.
+        Window of pixels at which the rays end.
     starts : (rows x cols + 1,) int64 array
         Index of the first crossing of each pixel; the last entry is the total number of crossings.
     depth : (n,) float64 array, dimensionless
@@ -69,14 +69,14 @@ def allocate_crossings(window: Window, crossing_counts: NDArray[np.integer]) -> 
     Parameters
     ----------
     window : Window
-        Pixels of the rays.
+        Window of pixels at which the rays end.
     crossing_counts : (rows, cols) integer array
         Number of crossings of each ray.
 
     Returns
     -------
     Crossings
-        Crossings with their final `starts`; the values of `depth` and `sign` are not yet set.
+        Crossings with complete `starts`; the values of `depth` and `sign` are not yet set.
     """
     starts = np.zeros(crossing_counts.size + 1, np.int64)
     np.cumsum(crossing_counts, out=starts[1:])
@@ -86,7 +86,8 @@ def allocate_crossings(window: Window, crossing_counts: NDArray[np.integer]) -> 
 def merge_crossings(parts: Sequence[tuple[Crossings, int]]) -> Crossings:
     """Merge the crossings of several surfaces into the crossings of one combined surface.
 
-    The combined surface encloses the volume of the surfaces with factor +1, minus the volume of those with factor -1.
+    The combined surface encloses the volume of all surfaces with factor +1, minus the volume of all surfaces with
+    factor -1.
 
     Parameters
     ----------
@@ -119,7 +120,7 @@ def chord_fractions(crossings: Crossings) -> Array:
     Parameters
     ----------
     crossings : Crossings
-        Crossings with the surface.
+        Crossings of rays with the surface.
 
     Returns
     -------
@@ -132,21 +133,21 @@ def chord_fractions(crossings: Crossings) -> Array:
 
 
 def integrate_along_rays(crossings: Crossings, frame: RayFrame, density: Density) -> Array:
-    """Integrate a density along the segments of each ray inside a surface.
+    """Integrate a density along each ray inside a surface.
 
     Parameters
     ----------
     crossings : Crossings
-        Crossings with the surface.
+        Crossings of rays with the surface.
     frame : RayFrame
-        Source and pixels of the rays.
+        Source and pixels that define the rays.
     density : Density
         Relative density to integrate.
 
     Returns
     -------
     (rows, cols) float64 array
-        Integrals, as fractions of the source-to-pixel distance.
+        Density integrals, as fractions of the source-to-pixel distance.
 
     Raises
     ------
@@ -165,7 +166,9 @@ def integrate_along_rays(crossings: Crossings, frame: RayFrame, density: Density
 
 @kernel()
 def sort_crossings(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8]) -> None:
-    """Sort the crossings of each ray by depth, in place, by insertion sort because rays have few crossings.
+    """Sort the crossings of each ray by depth, in place.
+
+    Insertion sort is used, because each ray has few crossings.
 
     Parameters
     ----------
@@ -174,7 +177,7 @@ def sort_crossings(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int
     depth : (n,) float64 array, dimensionless
         Distance from the source as a fraction of the source-to-pixel distance; sorted in place.
     sign : (n,) int8 array
-        +1 on exit, -1 on entry; sorted together with `depth`.
+        +1 where the ray leaves the surface, -1 where it enters; sorted together with `depth`.
     """
     for pixel in range(len(starts) - 1):
         for k in range(starts[pixel] + 1, starts[pixel + 1]):
@@ -187,7 +190,7 @@ def sort_crossings(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int
 
 @kernel()
 def _append_crossings(part: Crossings, factor: int, next_slot: NDArray[np.int64], whole: Crossings) -> None:
-    """Append the crossings of `part` to those of `whole`; their signs are multiplied by `factor`.
+    """Append the crossings of `part` to `whole`, with signs multiplied by `factor`.
 
     `next_slot` (pixels,) is the next free index of each pixel in `whole`; it is advanced in place.
     """
@@ -203,7 +206,7 @@ def _append_crossings(part: Crossings, factor: int, next_slot: NDArray[np.int64]
 
 @kernel()
 def _sum_depths(starts: NDArray[np.int64], depth: Array, sign: NDArray[np.int8], out: Array) -> None:
-    """Sum sign x depth over the crossings of each pixel into `out` (pixels,); depths behind the detector count as 1."""
+    """Sum sign x depth over the crossings of each pixel into `out` (pixels,); the largest depth is 1, the detector."""
     for pixel in range(len(out)):
         total = 0.0
         for k in range(starts[pixel], starts[pixel + 1]):

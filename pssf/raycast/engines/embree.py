@@ -1,6 +1,6 @@
 """Embree engine: cast rays from hit to hit, recompute each hit in float64, and correct unreliable rays.
 
-Embree works in float32 and only finds the next triangle that a ray hits. This module computes the depth of the hit in
+Embree uses float32 and finds only the next triangle that a ray hits. This module computes the depth of the hit in
 float64, from the plane of the triangle. It also computes the number of crossings of each ray in float64, from the
 outlines of the projected triangles.
 
@@ -58,7 +58,7 @@ from .ray_state import (
     advance_rays,
 )
 
-# Maximum number of hits per ray; a ray with more hits is repaired. Real meshes have far fewer crossings per ray.
+# Maximum number of hits per ray; a ray with more hits is recomputed. Real meshes have far fewer crossings per ray.
 HIT_LIMIT = 20_000
 # All surfaces of a process share one Embree device, because Embree crashes at about a thousand devices. The cache key
 # is the process id, so a forked process makes its own device.
@@ -79,7 +79,7 @@ class Caster:
     def __init__(self, sheet: ProjectedSurface, around: int) -> None:
         self.sheet, self.source_winding = sheet, around
         # Adding a triangle to Embree takes a microsecond and blocks other Python threads (global interpreter lock).
-        # Only triangles that a ray can hit are therefore added.
+        # Therefore, only triangles that a ray can hit are added.
         whole, in_sight = sheet.triangles, np.zeros(len(sheet.triangles.faces), np.bool_)
         in_sight[sheet.order] = True
         kept = np.flatnonzero(in_sight)
@@ -87,7 +87,7 @@ class Caster:
         if not len(kept):
             points = np.zeros((1, 3))
         low, high = points.min(axis=0), points.max(axis=0)
-        # Coordinates are relative to the centre of the surface, because float32 is most precise near zero. Coordinates
+        # Coordinates are relative to the surface centre, because float32 is most precise near zero. Coordinates
         # relative to the focal spot would have an error of 1e-4 mm.
         centre, margin = (low + high) / 2, 0.01 * (high - low).max()
         near, far = (np.array([low[1] - margin, high[1] + margin]) - sheet.frame.source.y) / sheet.frame.corner_vector.y
@@ -95,18 +95,18 @@ class Caster:
         planes, rows = whole.planes[kept], whole.rows[kept]
         self.triangles = Triangles(whole.faces[kept], whole.projected, planes, whole.near[kept], whole.far[kept], rows)
         self.adjacent_faces = find_adjacent_faces(self.triangles.faces, len(whole.projected))
-        # The robust mode of Embree takes 20 % more time. It is not needed, because a missed hit changes the number of
-        # crossings. The scanline engine then recomputes the list of crossings of the ray.
+        # The robust mode of Embree takes 20 % more time and is not needed: a missed hit changes the number of
+        # crossings, and the scanline engine then recomputes the ray.
         self.tree = EmbreeScene(_make_device(os.getpid()), robust=False)
-        # The embreex package converts each number separately, which takes a third of the time for Python objects.
+        # The embreex package converts each number separately, which is three times as fast for Python objects.
         corners = np.fromiter(zip(*faces.T.tolist(), strict=True), object, len(faces))
         TriangleMesh(self.tree, (points - centre).astype(np.float32).astype(object), corners)
-        # The first call of run() builds the search tree of Embree. It is made here, because two threads must not build
-        # the tree at the same time.
+        # The first call of run() builds the search tree of Embree. The call is made here, because two threads must not
+        # build the tree at the same time.
         self.tree.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), output=1)
 
     def trace_chords(self, first: int, stop: int) -> tuple[Array, Audit]:
-        """Compute the chords inside the surface for a range of rows.
+        """Compute the chords inside the surface for the rays to a range of rows.
 
         Parameters
         ----------
@@ -118,13 +118,13 @@ class Caster:
         chords : (rows, cols) float64 array
             Lengths inside the surface, as fractions of the source-to-pixel distance.
         audit : Audit
-            Counts of the rays that were cast, and of those that the scanline engine recomputed.
+            Counts of cast rays and of rays that the scanline engine recomputed.
         """
         listed, audit = self.find_crossings(first, stop)
         return chord_fractions(listed), audit
 
     def find_crossings(self, first: int, stop: int) -> tuple[Crossings, Audit]:
-        """Find the crossings with the surface for a range of rows.
+        """Find the crossings of rays with the surface, for a range of rows.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class Caster:
         crossings : Crossings
             Crossings of all rays, in order along each ray.
         audit : Audit
-            Counts of the rays that were cast, and of those that the scanline engine recomputed.
+            Counts of cast rays and of rays that the scanline engine recomputed.
         """
         number = scanline.count_crossings(self.sheet, first, stop)
         listed = allocate_crossings(Window(first, self.sheet.cols[0], *number.shape), number)
@@ -158,7 +158,7 @@ class Caster:
         return listed, self._repair_pixels(listed, bad, doubt, rays) if bad.any() else Audit(rays=rays)
 
     def _repair_pixels(self, listed: Crossings, bad: NDArray[np.bool_], doubt: NDArray[np.bool_], rays: int) -> Audit:
-        """Recompute the crossings of bad pixels in place with the scanline engine; return the counts of the rays.
+        """Recompute the crossings of unreliable pixels in place with the scanline engine; return the ray counts.
 
         `bad` and `doubt` have shape (rows x cols,).
         """
@@ -177,7 +177,7 @@ class Caster:
         )
 
     def _cast_rays(self, among: NDArray[np.bool_], listed: Crossings, progress: CastProgress) -> None:
-        """Cast the rays of the pixels marked in `among` (rows x cols,) that still have crossings to find."""
+        """Cast rays for the pixels marked in `among` (rows x cols,) whose crossings are not all found."""
         pixels = np.flatnonzero((progress.remaining > 0) & among)
         rays, count = self._start_rays(listed.window, pixels, progress.remaining[pixels]), len(pixels)
         for _ in range(HIT_LIMIT):
@@ -189,9 +189,9 @@ class Caster:
         progress.suspect[rays.pixels[:count]] = True
 
     def _start_rays(self, window: Window, pixels: NDArray[np.int64], left: Ints) -> Rays:
-        """Make rays to pixels (n,) of a window that start in front of the surface.
+        """Make rays to pixels (n,) of a window, starting in front of the surface.
 
-        A ray with only one crossing left to find starts behind the surface and runs backwards.
+        A ray with only one remaining crossing starts behind the surface and runs backwards.
         """
         frame, (centre, near, far) = self.sheet.frame, self.extent
         x, y, z = ray_vectors_mm(frame, window.row + pixels // window.cols, window.col + pixels % window.cols)

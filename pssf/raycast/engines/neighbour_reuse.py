@@ -1,7 +1,7 @@
 """Reuse the triangles of neighbouring pixels, so that most rays need not be cast.
 
-The number of crossings of each ray is known. If a pixel lies strictly inside that many projected triangles, its ray
-crosses exactly these triangles. Candidates are the triangles of a neighbouring pixel, and the triangles adjacent to
+The number of crossings of each ray is known. If a pixel is strictly inside the same number of projected triangles, its
+ray crosses exactly these triangles. Candidates are the triangles of a neighbouring pixel, and the triangles adjacent to
 them.
 """
 
@@ -38,9 +38,10 @@ class NeighbourTriangles(NamedTuple):
     adjacent_faces : (m, 3) int32 array
         Number of the adjacent face across each edge, from `find_adjacent_faces`.
     triangle_numbers : (most,) int32 array
-        Numbers of the triangles that the ray of the previous pixel crosses, sorted by depth.
+        Numbers of the triangles that the ray of the previous pixel crosses, sorted by depth; `most` is the maximum
+        number of crossings.
     facets : (most, 16) float64 array, mm and px
-        Edges and planes of these triangles, from `load_facet`.
+        Edges and planes of the triangles in `triangle_numbers`, from `load_facet`.
     """
 
     triangles: Triangles
@@ -53,14 +54,14 @@ class NeighbourTriangles(NamedTuple):
 def reuse_from_grid(
     triangles: Triangles, frame: RayFrame, crossings: Crossings, progress: CastProgress, max_crossings: int
 ) -> None:
-    """Reuse the triangles of each grid pixel for nearby pixels that lie strictly inside all of these triangles.
+    """Reuse the triangles of each grid pixel for nearby pixels that are strictly inside all of these triangles.
 
     Parameters
     ----------
     triangles : Triangles
         Triangles of the surface.
     frame : RayFrame
-        Source and pixels of the rays.
+        Source and pixels that define the rays.
     crossings : Crossings
         Crossings of the window; filled in place.
     progress : CastProgress
@@ -105,7 +106,7 @@ def reuse_from_grid(
 
 @kernel_helper()
 def _find_outer_edge(pixel_ray: PixelRay, facets: Array, k: int) -> int:
-    """Return the number of an edge of triangle k whose inner side does not contain the pixel, or 3 if none exists."""
+    """Return the number of an edge of triangle k that has the pixel on its outer side, or 3 if there is none."""
     for corner in range(3):
         e = 4 * corner
         turn = facets[k, e + 3] * (pixel_ray.row - facets[k, e]) - (pixel_ray.col - facets[k, e + 1]) * facets[k, e + 2]
@@ -153,8 +154,9 @@ def _walk_to_pixel(
 ) -> bool:
     """Replace triangles of a neighbouring pixel by adjacent triangles until they contain the current pixel.
 
-    The search starts from the triangles hit at the neighbouring pixel. Each triangle is replaced by an adjacent one
-    until its projection contains the current pixel. Returns True if this succeeds for all crossings of the ray.
+    The search starts from the triangles crossed by the neighbouring ray. Each triangle is replaced by an adjacent
+    triangle until its projection contains the current pixel. Returns True if the replacement succeeds for all crossings
+    of the ray.
 
     If the number of these triangles equals the number of crossings, the ray crosses exactly these triangles.
     """
@@ -189,20 +191,21 @@ def _walk_to_pixel(
 def reuse_from_neighbours(
     near: NeighbourTriangles, frame: RayFrame, crossings: Crossings, progress: CastProgress, direction: int
 ) -> None:
-    """Reuse the triangles of a neighbouring pixel, or triangles adjacent to them, for pixels strictly inside them.
+    """Reuse the triangles of a neighbouring pixel, or adjacent triangles, for pixels strictly inside the triangles.
 
     Parameters
     ----------
     near : NeighbourTriangles
         Triangles of the previous pixel, which are overwritten, and the adjacency of all triangles.
     frame : RayFrame
-        Source and pixels of the rays.
+        Source and pixels that define the rays.
     crossings : Crossings
         Crossings of the window; filled in place.
     progress : CastProgress
         State of the pixels; updated in place.
     direction : int
-        +1 scans right and down and takes neighbours from the left and above. -1 scans left and up.
+        +1 scans right and down, with neighbours on the left and above. -1 scans left and up, with neighbours on the
+        right and below.
     """
     rows, cols, starts = crossings.window.rows, crossings.window.cols, crossings.starts
     for n in range(rows) if direction > 0 else range(rows - 1, -1, -1):

@@ -10,23 +10,23 @@ from .projected_surface import RayFrame
 
 
 def ray_vectors_mm(frame: RayFrame, rows: NDArray[np.integer], cols: NDArray[np.integer]) -> tuple[Array, float, Array]:
-    """Compute the vectors from the source to pixels.
+    """Compute the vectors from the source to pixel centres.
 
     Parameters
     ----------
     frame : RayFrame
-        Source and pixels of the rays.
+        Source and pixels that define the rays.
     rows, cols : (n,) and (m,) integer array
-        Numbers of the rows and of the columns.
+        Row numbers and column numbers of the pixels.
 
     Returns
     -------
     x : (m,) float64 array
-        Component along the columns, in mm.
+        Horizontal component for each column, in mm.
     y : float
-        Component along the beam, in mm.
+        Component along the beam, the same for all pixels, in mm.
     z : (n,) float64 array
-        Component along the rows, in mm.
+        Vertical component for each row, in mm.
     """
     x, z = frame.corner_vector.x + cols * frame.pixel_mm, frame.corner_vector.z - rows * frame.pixel_mm
     return np.asarray(x, np.float64), frame.corner_vector.y, np.asarray(z, np.float64)
@@ -38,11 +38,11 @@ def add_box_path(frame: RayFrame, bounds_mm: Array, first_row: int, fraction: Ar
     Parameters
     ----------
     frame : RayFrame
-        Source and pixels of the rays.
+        Source and pixels that define the rays.
     bounds_mm : (2, 3) array, mm
         Lower and upper corner of the box.
     first_row : int
-        Row of the image at which `fraction` starts.
+        Image row that corresponds to the first row of `fraction`.
     fraction : (rows, cols) float64 array, dimensionless
         Path length as a fraction of the source-to-pixel distance; the length inside the box is added in place.
     """
@@ -61,9 +61,9 @@ def convert_to_mm(fraction: Array, frame: RayFrame, first_row: int) -> Array:
     fraction : (rows, cols) float64 array, dimensionless
         Path length as a fraction of the source-to-pixel distance.
     frame : RayFrame
-        Source and pixels of the rays.
+        Source and pixels that define the rays.
     first_row : int
-        Row of the image at which `fraction` starts.
+        Image row that corresponds to the first row of `fraction`.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def convert_to_mm(fraction: Array, frame: RayFrame, first_row: int) -> Array:
     return np.asarray(fraction * _ray_lengths_mm(frame, first_row, *fraction.shape))
 
 
-@lru_cache(maxsize=8)  # Every material of a band uses the same lengths.
+@lru_cache(maxsize=8)  # All materials of a band use the same ray lengths.
 def _ray_lengths_mm(frame: RayFrame, first_row: int, rows: int, cols: int) -> Array:
     """Compute the distance from the source to each pixel (rows, cols), in mm."""
     x, y, z = ray_vectors_mm(frame, first_row + np.arange(rows), np.arange(cols))
@@ -85,6 +85,6 @@ def _slab_interval(low: float, high: float, source: float, way: Array) -> tuple[
     with np.errstate(divide="ignore", invalid="ignore"):
         one, other = (low - source) / way, (high - source) / way
     near, far = np.maximum(np.minimum(one, other), 0.0), np.minimum(np.maximum(one, other), 1.0)
-    # A ray parallel to the slab is inside if it starts at or above the lower face and below the upper face.
+    # A ray parallel to the slab is inside if its source coordinate is in the half-open range [low, high).
     near[way == 0], far[way == 0] = (0.0, 1.0) if low <= source < high else (1.0, 0.0)
     return near, far

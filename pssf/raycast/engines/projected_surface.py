@@ -11,7 +11,7 @@ from ...geometry.mesh_repair import Solid
 from ...geometry.view import View, depth_fraction, project_at_depth
 from .triangle_clipping import MIN_DEPTH_FRACTION, clip_mesh_at_source
 
-# Number of image rows per band. The bands do not depend on the number of workers, so the result does not either.
+# Number of image rows per band. The number is fixed, so that results do not depend on the number of workers.
 BAND_ROWS = 32
 
 
@@ -30,7 +30,7 @@ class Point(NamedTuple):
 
 
 class RayFrame(NamedTuple):
-    """Source, first pixel and pixel size, which define the ray to every pixel.
+    """Source, first pixel and pixel size, which together define the ray to every pixel.
 
     Attributes
     ----------
@@ -59,8 +59,9 @@ class Triangles(NamedTuple):
     projected : (n, 2) float64 array
         Row and column of each projected vertex, in pixels.
     planes : (m, 4) float64 array
-        The normal, not of unit length, in three numbers, and its dot product with (vertex - source) in the fourth. The
-        depth at a pixel is the fourth number divided by the dot product of the normal with (pixel - source).
+        Components 0 to 2 are the normal, which has no unit length. Component 3 is the dot product of the normal with
+        (vertex - source). The depth at a pixel is component 3 divided by the dot product of the normal with (pixel -
+        source).
     near, far : (m,) float64 array
         Depths of the nearest and the farthest vertex of each triangle.
     rows : (m, 2) int32 array
@@ -85,7 +86,7 @@ class ProjectedSurface:
     Attributes
     ----------
     frame : RayFrame
-        Source and pixels of the rays.
+        Source and pixels that define the rays.
     points : (n, 3) float64 array
         Vertices, in mm.
     triangles : Triangles
@@ -93,7 +94,7 @@ class ProjectedSurface:
     rows, cols : tuple of int
         Half-open ranges of the rows and columns that the surface can cover.
     order : (k,) int32 array
-        Numbers of the triangles of band 0, then of band 1, and so on, without triangles that cover no pixel.
+        Triangle numbers of band 0, then of band 1, and so on; triangles that cover no pixel are omitted.
     starts : (bands + 1,) int64 array
         Index in `order` at which each band starts.
     is_clipped : bool
@@ -110,7 +111,7 @@ class ProjectedSurface:
     is_clipped: bool
 
     def triangles_in_band(self, row: int) -> NDArray[np.int32]:
-        """Return the triangles that may cover pixels of a band of rows.
+        """Return the triangles that may cover pixels in a band of rows.
 
         Parameters
         ----------
@@ -127,7 +128,7 @@ class ProjectedSurface:
 
 
 def make_ray_frame(view: View) -> RayFrame:
-    """Make the ray frame of a view.
+    """Make the ray frame of a view, which defines the ray to every pixel.
 
     Parameters
     ----------
@@ -184,7 +185,7 @@ def project_surface(solid: Solid, view: View) -> ProjectedSurface:
 
 
 def _face_extremes(values: Array, faces: NDArray[np.int32]) -> tuple[Array, Array]:
-    """Return the least and the largest value (m,) over the vertices of each face, from values (n,) per vertex."""
+    """Return the minimum and the maximum (m,) over the vertices of each face, for values (n,) per vertex."""
     a, b, c = (values[faces[:, corner]] for corner in range(3))
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
@@ -202,7 +203,8 @@ def _sort_into_bands(
     projected: Array, faces: NDArray[np.int32], view: View
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int64]]:
     """Compute the row ranges (m, 2) of faces, and the `order` and `starts` of `ProjectedSurface`."""
-    # Row ranges are half-open, so that an edge exactly on a pixel row belongs to only one of its two triangles.
+    # Row ranges are half-open, so that an edge exactly on a pixel row belongs to only one of the two adjacent
+    # triangles.
     (top, bottom), (left, right) = (
         np.clip(np.ceil(_face_extremes(projected[:, axis], faces)), 0, size).astype(np.int32)
         for axis, size in enumerate((view.rows, view.cols))

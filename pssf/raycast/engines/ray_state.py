@@ -1,4 +1,4 @@
-"""State of the rays that are being cast, and their restart after each hit."""
+"""State of the rays that are being cast, and restart of the rays after each hit."""
 
 import math
 from typing import NamedTuple
@@ -14,15 +14,15 @@ from .projected_surface import Point, RayFrame, Triangles
 Floats = NDArray[np.float32]
 Ints = NDArray[np.int32]
 
-# Spacing of float32 numbers at 1.
+# Spacing of float32 numbers near 1.
 FLOAT32_EPSILON = float(np.finfo(np.float32).eps)
 
-# Distance from the hit triangle at which a ray restarts behind it, in float32 spacings. The distance is measured along
-# the normal of the triangle, because a step along a grazing ray would hit the triangle again. It exceeds the rounding
-# error. Two layers of a surface closer than 4e-5 mm, at 100 mm from its centre, are skipped together.
+# Distance behind a hit triangle at which a ray restarts, in float32 spacings. The distance is measured along the normal
+# of the triangle, because a step along a grazing ray would hit the triangle again. The distance exceeds the
+# rounding error. At 100 mm from the surface centre, two layers closer than 4e-5 mm are skipped together.
 RESTART_EPSILONS = 3.0
 
-# Maximum number of repeated hits of the same triangle; a ray with more is repaired.
+# Maximum number of repeated hits of the same triangle; a ray with more repeated hits is recomputed.
 REPEAT_HIT_LIMIT = 8
 
 
@@ -32,17 +32,17 @@ class Rays(NamedTuple):
     Attributes
     ----------
     origins : (n, 3) float32 array, mm
-        Start points relative to the centre of the surface.
+        Start points of the rays, relative to the centre of the surface.
     directions : (n, 3) float32 array, dimensionless
-        Unit vectors.
+        Ray directions, as unit vectors.
     pixels : (n,) int32 array
-        Pixel number within the window.
+        Pixel number of each ray within the window.
     depths : (n,) float64 array, dimensionless
         Depth of the last hit, as a fraction of the source-to-pixel distance.
     triangles : (n,) int32 array
-        Triangle of the last hit; -1 before the first hit.
+        Number of the last triangle hit; -1 before the first hit.
     repeat_hits : (n,) int32 array
-        Number of consecutive repeated hits of this triangle.
+        Number of consecutive repeated hits of the same triangle.
     """
 
     origins: Floats
@@ -77,11 +77,11 @@ class CastProgress(NamedTuple):
     remaining : (pixels,) int32 array
         Number of crossings that are not yet found.
     sign_sum : (pixels,) int32 array
-        Sum of the signs of the crossings found so far.
+        Sum of the signs of all crossings found so far.
     suspect : (pixels,) bool array
         True if the ray of the pixel has an unreliable hit.
     hit_triangles : (crossings,) int32 array
-        Triangle of each crossing.
+        Triangle number of each crossing.
     """
 
     remaining: Ints
@@ -91,12 +91,12 @@ class CastProgress(NamedTuple):
 
 
 class PixelRay(NamedTuple):
-    """Pixel and the vector from the source to its centre.
+    """Pixel, and the vector from the source to the pixel centre.
 
     Attributes
     ----------
     row, col : int
-        Row and column of the image.
+        Row and column of the pixel.
     x, y, z : float
         Vector from the source to the centre of the pixel, in mm.
     """
@@ -115,9 +115,9 @@ def make_pixel_ray(frame: RayFrame, row: int, col: int) -> PixelRay:
     Parameters
     ----------
     frame : RayFrame
-        Source and pixels of the rays.
+        Source and pixels that define the rays.
     row, col : int
-        Row and column of the image.
+        Row and column of the pixel.
 
     Returns
     -------
@@ -137,8 +137,8 @@ def make_pixel_ray(frame: RayFrame, row: int, col: int) -> PixelRay:
 def load_facet(triangles: Triangles, triangle: int, facets: Array, k: int) -> None:
     """Copy the edges and the plane of a triangle into a row of `facets`.
 
-    A row has four numbers per edge: row and column of its start, and the changes of row and column along the edge. The
-    four numbers of the plane follow.
+    A row of `facets` has four numbers per edge: row and column of the start point, and changes of row and column along
+    the edge. The last four numbers are the plane.
 
     Parameters
     ----------
@@ -174,15 +174,15 @@ def hit_depth(pixel_ray: PixelRay, facets: Array, k: int, min_depth: float) -> f
     k : int
         Row of `facets` with the triangle.
     min_depth : float
-        Lower limit of the depth; a hit must be deeper.
+        Lower limit of the depth; only a deeper hit is accepted.
 
     Returns
     -------
     float
-        Depth as a fraction of the source-to-pixel distance. It is 0 if the depth does not exceed `min_depth`, or the
-        pixel is not strictly inside the projected triangle.
+        Depth as a fraction of the source-to-pixel distance. The returned depth is 0 if the hit is not deeper than
+        `min_depth`, or the pixel is not strictly inside the projected triangle.
     """
-    scaled = facets[k, 15]  # Positive if the ray meets the triangle from behind, that is, leaves the surface.
+    scaled = facets[k, 15]  # Positive if the ray meets the triangle from behind and leaves the surface.
     at = scaled / (facets[k, 12] * pixel_ray.x + facets[k, 13] * pixel_ray.y + facets[k, 14] * pixel_ray.z)
     if not at > min_depth:
         return 0.0
@@ -201,7 +201,7 @@ def _load_point(vectors: Floats, k: int) -> Point:
 
 @kernel_helper()
 def _point_at_depth(frame: RayFrame, centre: Point, pixel_ray: PixelRay, depth: float) -> Point:
-    """Compute the point at a given depth along a ray, relative to the centre of a surface."""
+    """Compute the point at a specified depth along a ray, relative to the centre of a surface."""
     x, y, z = frame.source.x - centre.x, frame.source.y - centre.y, frame.source.z - centre.z
     return Point(x + depth * pixel_ray.x, y + depth * pixel_ray.y, z + depth * pixel_ray.z)
 
@@ -216,16 +216,16 @@ def advance_rays(
     progress: CastProgress,
     rays: Rays,
 ) -> int:
-    """Record the hits, remove rays that are finished or unreliable, and restart the others.
+    """Record the hits, remove finished or unreliable rays, and restart the other rays.
 
     Parameters
     ----------
     hits : tuple of (n,) int32 array and (n,) float32 array, mm
-        Number of the triangle that each ray hit, negative for no hit, and the distance to it.
+        Number of the triangle that each ray hit, negative for no hit, and the distance to the hit.
     triangles : Triangles
         Triangles of the surface.
     frame : RayFrame
-        Source and pixels of the rays.
+        Source and pixels that define the rays.
     extent : Extent
         Centre and depth range of the surface.
     crossings : Crossings
@@ -233,12 +233,12 @@ def advance_rays(
     progress : CastProgress
         State of the pixels; updated in place.
     rays : Rays
-        Rays that were cast. Those that continue are moved to the start of each array.
+        Rays that were cast. Continuing rays are moved to the start of each array.
 
     Returns
     -------
     int
-        Number of rays that continue.
+        Number of continuing rays.
     """
     window = crossings.window
     count, facet, left, doubt = 0, np.empty((1, 16)), progress.remaining, progress.suspect
@@ -249,8 +249,8 @@ def advance_rays(
         row = pixel // window.cols
         spot = make_pixel_ray(frame, window.row + row, window.col + pixel - row * window.cols)
         if triangle == rays.triangles[k] and left[pixel] > 1:
-            # Due to rounding, the new start is in front of the triangle that was just hit. The ray restarts at the
-            # distance that Embree reported.
+            # Due to rounding, the restart point is in front of the triangle that was just hit. The ray restarts from
+            # the distance that Embree reports.
             at, tries = rays.depths[k], rays.repeat_hits[k] + 1
             start, off, far = _load_point(rays.origins, k), _load_point(rays.directions, k), hits[1][k]
             place = Point(start.x + far * off.x, start.y + far * off.y, start.z + far * off.z)

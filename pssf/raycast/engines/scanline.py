@@ -1,9 +1,9 @@
 """Scanline engine: project triangles onto the detector and sum their signed depths per pixel, in float64.
 
-The method has neither gaps nor overlaps between triangles. On a pixel row, a triangle covers the columns between two of
-its directed edges, one downward and one upward. Two adjacent triangles share an edge in opposite directions, and the
-column of the edge is identical to the last bit for both. The crossing signs of a closed surface therefore add up to
-zero at every pixel, even for very thin triangles and triangles seen edge-on.
+The projected triangles have neither gaps nor overlaps. On a pixel row, a triangle covers the columns between two of its
+directed edges, one downward and one upward. Two adjacent triangles share an edge in opposite directions, and the column
+of the edge is identical to the last bit for both. The crossing signs of a closed surface therefore add up to zero at
+every pixel, even for very thin triangles and triangles seen edge-on.
 """
 
 import math
@@ -34,7 +34,7 @@ class Caster:
     sheet : ProjectedSurface
         Projection of the surface.
     around : int
-        Winding number of the surface around the source; this engine does not need it.
+        Winding number of the surface around the source; the scanline engine does not need it.
     """
 
     def __init__(self, sheet: ProjectedSurface, around: int) -> None:
@@ -42,7 +42,7 @@ class Caster:
         self.sheet = sheet
 
     def trace_chords(self, first: int, stop: int) -> tuple[Array, Audit]:
-        """Compute the chords inside the surface for a range of rows.
+        """Compute the chords inside the surface for the rays to a range of rows.
 
         Parameters
         ----------
@@ -54,13 +54,13 @@ class Caster:
         chords : (rows, cols) float64 array
             Lengths inside the surface, as fractions of the source-to-pixel distance.
         audit : Audit
-            Number of rays; none needs a repair.
+            Number of rays; no ray needs to be recomputed.
         """
         lengths = trace_chords(self.sheet, first, stop)
         return lengths, Audit(rays=lengths.size)
 
     def find_crossings(self, first: int, stop: int) -> tuple[Crossings, Audit]:
-        """Find the crossings with the surface for a range of rows.
+        """Find the crossings of rays with the surface, for a range of rows.
 
         Parameters
         ----------
@@ -72,14 +72,14 @@ class Caster:
         crossings : Crossings
             Crossings of all rays, in order along each ray.
         audit : Audit
-            Number of rays; none needs a repair.
+            Number of rays; no ray needs to be recomputed.
         """
         listed = find_crossings(self.sheet, first, stop)
         return listed, Audit(rays=len(listed.starts) - 1)
 
 
 class _Spans(NamedTuple):
-    """Runs of pixels, each on one row and within one triangle; all arrays have shape (n,).
+    """Pixel runs, each in one row and within one triangle; all arrays have shape (n,).
 
     `triangle` is the number of the triangle, `row` the image row, and `left` to `right` the half-open range of columns.
     `sign` is +1 where rays leave the surface through the triangle, and -1 where they enter.
@@ -117,7 +117,7 @@ def trace_chords(sheet: ProjectedSurface, first: int, stop: int) -> Array:
 
 
 def sum_windings(sheet: ProjectedSurface, first: int, stop: int) -> NDArray[np.int64]:
-    """Sum the signs of the crossings of each ray.
+    """Sum the crossing signs of each ray.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ def sum_windings(sheet: ProjectedSurface, first: int, stop: int) -> NDArray[np.i
     Returns
     -------
     (rows, cols) int64 array
-        Sums for the columns of `sheet`. For a closed surface, all sums are equal.
+        Sums of crossing signs for the columns of `sheet`. For a closed surface, all sums are equal.
     """
     window = _make_window(sheet, first, stop)
     spans, _ = _collect_spans(sheet, sheet.triangles_in_band(first), window)
@@ -152,7 +152,7 @@ def count_crossings(sheet: ProjectedSurface, first: int, stop: int) -> Ints:
     Returns
     -------
     (rows, cols) int32 array
-        Number of crossings, for the columns of `sheet`.
+        Number of crossings of each ray, for the columns of `sheet`.
     """
     return _collect_spans(sheet, sheet.triangles_in_band(first), _make_window(sheet, first, stop))[1]
 
@@ -180,7 +180,7 @@ def find_crossings(sheet: ProjectedSurface, first: int, stop: int) -> Crossings:
 
 
 def recompute_crossings(sheet: ProjectedSurface, window_crossings: Crossings, pixels: NDArray[np.bool_]) -> None:
-    """Recompute the crossings of some pixels, in place.
+    """Recompute the crossings of selected pixels, in place.
 
     Parameters
     ----------
@@ -201,7 +201,7 @@ def _make_window(sheet: ProjectedSurface, first: int, stop: int) -> Window:
 
 
 def _collect_spans(sheet: ProjectedSurface, picked: Ints, window: Window) -> tuple[_Spans, Ints]:
-    """Find the spans of the picked triangles in a window, and count the crossings of its pixels (rows, cols)."""
+    """Find the spans of the selected triangles in a window, and count the crossings of each pixel (rows, cols)."""
     top, bottom = sheet.triangles.rows[picked].T
     heights = np.minimum(bottom, window.row + window.rows) - np.maximum(top, window.row)
     most = int(np.maximum(heights, 0).sum())
@@ -214,7 +214,7 @@ def _collect_spans(sheet: ProjectedSurface, picked: Ints, window: Window) -> tup
 def _fill_crossings(
     spans: _Spans, sheet: ProjectedSurface, window_crossings: Crossings, next_slot: NDArray[np.int64]
 ) -> None:
-    """Write the crossings of the spans and sort them by depth."""
+    """Write the crossings of the spans, and sort the crossings by depth."""
     _write_crossings(spans, sheet.triangles, sheet.frame, window_crossings, next_slot)
     sort_crossings(window_crossings.starts, window_crossings.depth, window_crossings.sign)
 
@@ -241,8 +241,8 @@ def _find_spans(picked: Ints, triangles: Triangles, window: Window, spans: _Span
             down, up = 0.0, 0.0
             for corner in range(3):
                 one, other = triangles.faces[k, corner], triangles.faces[k, (corner + 1) % 3]
-                # The row range of an edge is half-open, so that a vertex on a pixel row belongs to only one of its two
-                # edges.
+                # The row range of an edge is half-open, so that a vertex on a pixel row belongs to only one of the two
+                # edges at the vertex.
                 above, below = projected[one, 0] <= row, projected[other, 0] <= row
                 if above != below:
                     column = _edge_column(projected, one, other, row)
@@ -251,7 +251,7 @@ def _find_spans(picked: Ints, triangles: Triangles, window: Window, spans: _Span
             right = min(math.ceil(max(down, up)), window.col + window.cols)
             if left < right:
                 spans.triangle[count], spans.row[count], spans.left[count], spans.right[count] = k, row, left, right
-                spans.sign[count] = 1 if up < down else -1  # +1 if the ray meets the triangle from behind.
+                spans.sign[count] = 1 if up < down else -1  # The sign is +1 if the ray meets the triangle from behind.
                 steps[row - window.row, left - window.col] += 1
                 if right < window.col + window.cols:
                     steps[row - window.row, right - window.col] -= 1
@@ -261,18 +261,18 @@ def _find_spans(picked: Ints, triangles: Triangles, window: Window, spans: _Span
 
 @kernel()
 def _accumulate_depths(spans: _Spans, triangles: Triangles, frame: RayFrame, window: Window, sums: Array) -> None:
-    """Add sign x depth at the pixels of the spans to `sums` (rows, cols)."""
+    """Add sign x depth to `sums` (rows, cols), for all pixels of the spans."""
     for n in range(len(spans.row)):
         k, row = spans.triangle[n], spans.row[n]
-        # The depth of a triangle seen edge-on is undefined, so depths are clipped to the depth range of the vertices. A
-        # crossing behind the detector gets the depth of the detector plane.
+        # The depth of a triangle seen edge-on is undefined, so depths are clipped to the depth range of the vertices.
+        # The depth of a crossing behind the detector is set to the depth of the detector plane.
         near, far = min(triangles.near[k], 1.0), min(triangles.far[k], 1.0)
         x, sign = triangles.planes[k, 0], float(spans.sign[n])
         start = x * frame.corner_vector.x + triangles.planes[k, 1] * frame.corner_vector.y
         start += triangles.planes[k, 2] * (frame.corner_vector.z - row * frame.pixel_mm)
         for col in range(spans.left[n], spans.right[n]):
             at = triangles.planes[k, 3] / (start + x * (col * frame.pixel_mm))
-            at = at if at > near else near  # This form replaces NaN, from 0/0, by the limit.
+            at = at if at > near else near  # This comparison replaces NaN (from 0/0) by `near`.
             at = at if at < far else far
             sums[row - window.row, col - window.col] += sign * at
 
@@ -281,7 +281,7 @@ def _accumulate_depths(spans: _Spans, triangles: Triangles, frame: RayFrame, win
 def _write_crossings(
     spans: _Spans, triangles: Triangles, frame: RayFrame, window_crossings: Crossings, next_slot: NDArray[np.int64]
 ) -> None:
-    """Store the crossings of rays and surface for every pixel of the scanline spans.
+    """Store the crossing of the surface and the ray for every pixel of the spans.
 
     `next_slot` (pixels,) is the next free index of each pixel; it is advanced in place. Pixels with a negative index
     are skipped.

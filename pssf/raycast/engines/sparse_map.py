@@ -1,6 +1,6 @@
 """Maps of path lengths, stored in bands of rows without the empty columns beside the object.
 
-For a large detector, the path length maps take most of the memory of a simulation, and most of their pixels show air.
+For a large detector, the path length maps use most of the memory of a simulation, and most of their pixels show air.
 """
 
 from mmap import mmap
@@ -22,7 +22,7 @@ class SparseMap:
     shape : tuple of int
         Number of rows and columns.
     dtype : str, default "float32"
-        Number type.
+        Floating-point type of the path lengths.
     """
 
     def __init__(self, shape: tuple[int, int], dtype: str = "float32") -> None:
@@ -34,8 +34,8 @@ class SparseMap:
         used = np.flatnonzero(values.any(axis=0))
         if len(used):
             left, right = int(used[0]), int(used[-1]) + 1
-            # Each band has its own memory map, because the system gets this memory back as soon as the map is deleted.
-            # Memory from the heap would stay with the process.
+            # Each band has its own memory map, because the operating system frees it as soon as the map is deleted.
+            # Heap memory would remain allocated to the process.
             piece = np.frombuffer(mmap(-1, len(values) * (right - left) * self.dtype.itemsize), self.dtype)
             piece = piece.reshape(len(values), right - left)
             piece[:] = values[:, left:right]
@@ -58,7 +58,7 @@ class SparseMap:
         return self[0 : self.shape[0]].astype(dtype or self.dtype, copy=False)
 
     def max(self) -> float:
-        """Return the longest path.
+        """Return the longest path length in the map.
 
         Returns
         -------
@@ -68,7 +68,7 @@ class SparseMap:
         return float(np.max(self._extremes(np.max)))
 
     def min(self) -> float:
-        """Return the shortest path.
+        """Return the shortest path length in the map.
 
         Returns
         -------

@@ -1,1 +1,1 @@
-"""Design of a study: settings, classification tasks, checks of manifests, and plans of designed radiographs."""
+"""Study design: settings, classification tasks, manifest checks, and plans of designed radiographs."""

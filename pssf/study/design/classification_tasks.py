@@ -1,12 +1,12 @@
-"""Grades, and classification tasks that distinguish them."""
+"""Kellgren-Lawrence grades, and the classification tasks between grades."""
 
 from collections.abc import Iterable
 
 from ...core.checks import InputError
 
-# Names after Kellgren and Lawrence 1957; the grades of simulated knees are KL-like.
+# Grade names after Kellgren and Lawrence 1957; the grades of simulated knees approximate KL grades.
 GRADE_NAMES = {"0": "normal", "1": "doubtful OA", "2": "mild OA", "3": "moderate OA", "4": "severe OA"}
-# Grades of each class of a task.
+# Grades in each class of a classification task.
 Classes = tuple[tuple[int, ...], ...]
 TASKS: dict[str, Classes] = {
     "0 vs 2": ((0,), (2,)),
@@ -14,12 +14,12 @@ TASKS: dict[str, Classes] = {
     "0 vs 3+4": ((0,), (3, 4)),
     "0/1/2/3/4": ((0,), (1,), (2,), (3,), (4,)),
 }
-# Tasks of more than two classes, in order of the number of classes.
+# Classification tasks with more than two classes, in order of the number of classes.
 MULTICLASS_TASKS = {name: classes for name, classes in TASKS.items() if len(classes) > 2}
 
 
 def find_tasks(grades: Iterable[int]) -> dict[str, Classes]:
-    """Find the tasks in which each class has at least one of the given grades.
+    """Find the classification tasks for which each class has at least one of the available grades.
 
     Parameters
     ----------
@@ -29,14 +29,14 @@ def find_tasks(grades: Iterable[int]) -> dict[str, Classes]:
     Returns
     -------
     dict of str to Classes
-        Grades of each class, by the name of the task.
+        Grades of each class, keyed by task name.
     """
     present = set(grades)
     return {task: classes for task, classes in TASKS.items() if all(present & set(one) for one in classes)}
 
 
 def select_contrast(grades: Iterable[int]) -> str:
-    """Select the two-class task that contains the most severe of the given grades.
+    """Select the two-class task that contains the most severe of the available grades.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def select_contrast(grades: Iterable[int]) -> str:
 
 
 def lowest_grades(task: str) -> tuple[int, ...]:
-    """Find the lowest grade of each class, which labels the class in tables.
+    """Find the lowest grade of each class in a task; this grade labels the class in tables.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def lowest_grades(task: str) -> tuple[int, ...]:
 
 
 def class_names(task: str) -> tuple[str, ...]:
-    """Describe each class of a task in words.
+    """Describe each class of a classification task in words.
 
     Parameters
     ----------

@@ -1,7 +1,6 @@
 """Settings of a whole experiment: cohort, study, patient radiographs and designed experiments.
 
-The settings file is a flat TOML file. Its names are those of the command line, of cohort presets and of
-`StudySettings`.
+The settings file is a flat TOML file with the setting names of the command line, cohort presets and `StudySettings`.
 """
 
 import json
@@ -19,37 +18,37 @@ from ...data.knees.preset_table import CohortPreset
 from ...data.table_records import MSGSPEC_LOCK
 from .study_settings import StudySettings
 
-# Type of a setting -> its description in messages.
+# Description of each setting type in error messages.
 _TYPE_NAMES = {
     str: "text",
     int: "a whole number",
     float: "a number",
-    tuple[str, ...]: "a list of texts",
-    tuple[int, ...]: "a list of whole numbers",
+    tuple[str, ...]: "a list of strings",
+    tuple[int, ...]: "a list of integers",
     tuple[float, ...]: "a list of numbers",
 }
-# Preset field -> setting name, for fields whose setting has another name.
+# Setting name of each preset field whose setting has a different name.
 _SETTING_OF_ENTRY = {"settings": "set"}
-# Ratio of the detector width to the default region width: 2048 to 512 pixels.
+# Ratio of detector width to default region width, such as 2048 to 512 pixels.
 _REGION_FRACTION = 4
-# Smallest side length of a region, in px.
+# Minimum side length of a region, in px.
 _LEAST_REGION_PX = 16
 
 
 @dataclass(frozen=True, kw_only=True)
 class PatientFilms:
-    """Patient radiographs on disk and settings of the models that are tested on them.
+    """Patient radiographs on disk, and settings of the models that are tested on the radiographs.
 
     Parameters
     ----------
     folder : Path
-        Folder of images, or a CSV file that lists them (`io.patients.patient_radiographs.list_films`).
+        Folder of images, or a CSV file with a list of images (`io.patients.patient_radiographs.list_films`).
     protocol : str, optional
-        Protocol of the cohort radiographs used for training. None: the reference protocol of the study.
+        Protocol of the cohort radiographs used for training. If None, the reference protocol of the study is used.
     pixel_mm : float, optional
-        Pixel pitch, in mm, to which patient radiographs and cohort are resampled. None: see `study.FilmSet`.
+        Pixel pitch to which patient and cohort radiographs are resampled, in mm. If None, see `study.FilmSet`.
     region_mm : float, optional
-        Side length of the region, in mm. None: see `study.FilmSet`.
+        Side length of the region, in mm. If None, see `study.FilmSet`.
     """
 
     folder: Path
@@ -60,16 +59,16 @@ class PatientFilms:
 
 @dataclass(frozen=True, kw_only=True)
 class DesignSizes:
-    """Sizes of the designed experiments that extend a cohort; size 0 omits an experiment.
+    """Sizes of the designed experiments that extend a cohort; an experiment of size 0 is omitted.
 
     Parameters
     ----------
     curve_knees : int, default 0
-        Number of knees of the response curves (`study.design.response_curve_design`).
+        Number of knees with response curves (`study.design.response_curve_design`).
     sobol_samples : int, default 0
         Number of samples of the Sobol design (`study.design.sensitivity_plan`), 64 or more.
     sensitivity_knees : int, default 0
-        Number of knees in which one parameter at a time is changed.
+        Number of knees with sensitivity pairs, in which one parameter at a time is changed.
     """
 
     curve_knees: int = 0
@@ -79,7 +78,7 @@ class DesignSizes:
 
 @dataclass(frozen=True, kw_only=True)
 class ExperimentSettings:
-    """All settings that the results of an experiment depend on.
+    """All settings that affect the results of an experiment.
 
     Parameters
     ----------
@@ -90,11 +89,11 @@ class ExperimentSettings:
     engine : {"scanline", "embree"}
         Ray casting engine.
     cohort : mapping of str to object
-        Fields that replace those of the preset; see `cohort.plan_cohort`.
+        Fields that replace fields of the preset; see `cohort.plan_cohort`.
     study : mapping of str to object
         Fields of `StudySettings` that replace the defaults.
     films : PatientFilms or None
-        Patient radiographs of the external test set; None: no external test.
+        Patient radiographs of the external test set; None for no external test.
     design_sizes : DesignSizes
         Sizes of the designed experiments.
     """
@@ -108,8 +107,8 @@ class ExperimentSettings:
     design_sizes: DesignSizes = field(default_factory=DesignSizes)
 
 
-# Sections of a settings file: title -> name and type of each setting. `repeats` and `seed` belong to both cohort and
-# study, so only the section of the cohort lists them.
+# Sections of a settings file: name and type of each setting, by section title. The settings `repeats` and `seed` belong
+# to both cohort and study, and are listed only in the cohort section.
 _OF_STUDY = {name: kind for name, kind in get_type_hints(StudySettings).items() if name not in ("seed", "repeats")}
 _OF_COHORT = {_SETTING_OF_ENTRY.get(one.name, one.name): one.type for one in structs.fields(CohortPreset)}
 _OF_FILMS = {"films": str, "films_protocol": str, "films_pixel_mm": float, "films_region_mm": float}
@@ -120,19 +119,19 @@ _PARTS: dict[str, dict[str, Any]] = {
     "Patient radiographs": _OF_FILMS,
     "Designed experiments": _OF_DESIGNS,
 }
-# Name of every setting -> its type.
+# Type of each setting, keyed by setting name.
 SETTING_TYPES: dict[str, Any] = {name: kind for part in _PARTS.values() for name, kind in part.items()}
 
 
 def check_setting_types(given: Mapping[str, Any], label: str = "settings") -> dict[str, Any]:
-    """Check the names and types of settings, but not whether their values are in range.
+    """Check the names and types of settings, but not the range of their values.
 
     Parameters
     ----------
     given : mapping of str to object
         Settings by name.
     label : str
-        Name of the file or object in messages.
+        Name of the file or object in error messages.
 
     Returns
     -------
@@ -148,7 +147,9 @@ def check_setting_types(given: Mapping[str, Any], label: str = "settings") -> di
     for name, value in given.items():
         if name not in SETTING_TYPES:
             names = ", ".join(SETTING_TYPES)
-            raise InputError(f"{label}: names must be among {names}, got {name!r}{suggest_name(name, SETTING_TYPES)}")
+            raise InputError(
+                f"{label}: setting must be one of {names}, got {name!r}{suggest_name(name, SETTING_TYPES)}"
+            )
         try:
             with MSGSPEC_LOCK:
                 checked[name] = msgspec.convert(value, SETTING_TYPES[name])
@@ -162,12 +163,12 @@ def merge_settings(*layers: Mapping[str, Any]) -> ExperimentSettings:
     """Merge layers of settings by name; a later layer overrides an earlier one.
 
     Within one layer, `knees` without `bilateral` sets `bilateral` to 0. `matrix` without `region_px` sets the side
-    length of the region to a quarter of the matrix, which keeps its width in mm.
+    length of the region to a quarter of the matrix, so that the region width in mm is unchanged.
 
     Parameters
     ----------
     *layers : mapping of str to object
-        Settings by name, such as those of a file, then those of the command line.
+        Settings by name, such as the settings of a file, followed by the settings of the command line.
 
     Returns
     -------
@@ -177,7 +178,7 @@ def merge_settings(*layers: Mapping[str, Any]) -> ExperimentSettings:
     Raises
     ------
     InputError
-        A name is unknown, a value has the wrong type, or settings of patient radiographs are given without `films`.
+        A name is unknown, a value has the wrong type, or patient radiograph settings are specified without `films`.
     """
     merged: dict[str, Any] = {}
     for layer in layers:
@@ -189,7 +190,7 @@ def merge_settings(*layers: Mapping[str, Any]) -> ExperimentSettings:
     of_films = {name.removeprefix("films_"): merged[name] for name in _OF_FILMS if name in merged and name != "films"}
     if of_films and "films" not in merged:
         names = ", ".join(f"films_{name}" for name in of_films)
-        raise InputError(f"films must be given with {names}, got films = none")
+        raise InputError(f"films must be a folder if {names} is used, got films = none")
     entries = {setting: entry for entry, setting in _SETTING_OF_ENTRY.items()}
     return ExperimentSettings(
         **{name: merged[name] for name in ("preset", "seed", "engine") if name in merged},
@@ -206,7 +207,7 @@ def read_settings(path: Path) -> dict[str, Any]:
     Parameters
     ----------
     path : Path
-        TOML file, such as ``study.toml`` in the folder of a study.
+        TOML file, such as ``study.toml`` in the study folder.
 
     Returns
     -------
@@ -222,29 +223,29 @@ def read_settings(path: Path) -> dict[str, Any]:
 
 
 def format_settings(settings: ExperimentSettings, cohort: CohortPreset, study: StudySettings) -> str:
-    """Format all settings of an experiment as a TOML file that repeats the experiment.
+    """Format all settings of an experiment as a TOML file with which the experiment can be repeated.
 
     Parameters
     ----------
     settings : ExperimentSettings
-        Settings of the experiment, without defaults.
+        Settings of the experiment; default values are not filled in.
     cohort : CohortPreset
-        Cohort preset after all replacements.
+        Cohort preset, in which all replaced fields are set.
     study : StudySettings
         Settings of the study.
 
     Returns
     -------
     str
-        Content of a settings file. Settings without a value are omitted.
+        Content of a settings file, in which settings without a value are omitted.
     """
     films = {} if settings.films is None else asdict(settings.films)
     named = {"films" if name == "folder" else f"films_{name}": value for name, value in films.items()}
     values = asdict(study) | {"preset": settings.preset, "seed": settings.seed, "engine": settings.engine}
     values |= {_SETTING_OF_ENTRY.get(name, name): value for name, value in structs.asdict(cohort).items()}
     values |= {"repeats": study.repeats} | named | asdict(settings.design_sizes)
-    lines = ["# All settings of a study. Repeat it with: pssf study --config FILE --out FOLDER"]
-    lines.append("# Relative paths start at the working folder.")
+    lines = ["# All settings of a study. To repeat the study: pssf study --config FILE --out FOLDER"]
+    lines.append("# Relative paths are relative to the working folder.")
     for title, part in _PARTS.items():
         rows = [f"{name} = {_format_toml_value(values[name])}" for name in part if values.get(name) is not None]
         lines += ["", f"# {title}", *rows] if rows else []

@@ -1,4 +1,4 @@
-"""Checks of the values in a manifest and in tables given on the command line."""
+"""Checks of the values in a manifest and in tables specified on the command line."""
 
 from collections.abc import Callable
 from functools import partial
@@ -11,11 +11,12 @@ from ...core.checks import InputError, require_choice, require_in_range
 from ...io.patients.patient_list import GRADES, SIDES
 from .response_curve_design import DesignedManifests
 
-# Identifier columns. Empty text and NaN are not allowed, because they could mean one subject or several.
+# Identifier columns. Empty text and NaN are not allowed, because rows without an identifier could belong to one subject
+# or to several.
 _IDENTIFIER_COLUMNS = ("radiograph", "subject", "knee", "protocol", "file", "sha256")
-# Allowed range of each length, in mm.
+# Allowed range of each length column, in mm.
 _LENGTH_RANGES_MM = {"pixel_mm": (0.001, 50.0), "sdd_mm": (10.0, 20_000.0), "sod_mm": (10.0, 20_000.0)}
-# Numeric columns whose values may be unknown (NaN).
+# Numeric columns in which NaN is allowed for unknown values.
 _OPTIONAL_NUMBERS = ("truth_medial_row_px", "truth_medial_col_px", "age_years", "stature_mm", "jsw_medial_mm")
 
 
@@ -32,12 +33,12 @@ def require_manifest(manifest: Any, table_name: str = "manifest") -> pd.DataFram
     Returns
     -------
     DataFrame
-        The manifest with integer grades; pandas stores 2 as 2.0 in a column with gaps.
+        Manifest with integer grades; pandas stores grade 2 as 2.0 in a column with missing values.
 
     Raises
     ------
     InputError
-        The manifest is not a data frame, is empty or has a column twice. An identifier is missing, or a column of
+        The manifest is not a data frame, is empty or contains a column twice. An identifier is missing, or a column of
         identifiers contains both text and numbers (1 and "1"). A grade is not 0 to 4, a side is neither right nor left,
         or a length is not a number or out of range.
     """
@@ -45,9 +46,9 @@ def require_manifest(manifest: Any, table_name: str = "manifest") -> pd.DataFram
         raise InputError(f"{table_name} must be a pandas DataFrame, got {type(manifest).__name__}")
     if manifest.columns.has_duplicates:
         twice = manifest.columns[manifest.columns.duplicated()][0]
-        raise InputError(f"{table_name} must have each column once, got column {twice!r} twice")
+        raise InputError(f"{table_name} must contain each column once, got {twice!r} twice")
     if manifest.empty:
-        raise InputError(f"{table_name} must have one row per radiograph, got none")
+        raise InputError(f"{table_name} must have one row per radiograph, got no rows")
     for name in _IDENTIFIER_COLUMNS:
         _check_column(manifest, name, table_name, _require_name)
         _require_one_kind(manifest, name, table_name)
@@ -61,7 +62,7 @@ def require_manifest(manifest: Any, table_name: str = "manifest") -> pd.DataFram
 
 
 def _check_column(manifest: pd.DataFrame, column: str, table_name: str, check: Callable[[str, Any], None]) -> None:
-    """Check each distinct value of a column once, if the table has the column."""
+    """Check each distinct value of a column once, if the table contains the column."""
     if column not in manifest:
         return
     values, labels = manifest[column].tolist(), manifest.get("radiograph", manifest.index)
@@ -74,7 +75,7 @@ def _check_column(manifest: pd.DataFrame, column: str, table_name: str, check: C
 
 
 def _require_name(name: str, value: Any) -> None:
-    """Raise InputError unless an identifier is non-empty text or a finite number."""
+    """Raise InputError unless an identifier is a non-empty string or a finite number."""
     is_number = isinstance(value, int | np.integer | float | np.floating) and not isinstance(value, bool)
     if not (isinstance(value, str) and value.strip()) and not (is_number and np.isfinite(value)):
         raise InputError(f"{name} must be text or a number, got {value!r}")
@@ -105,7 +106,7 @@ def _require_number(name: str, value: Any) -> None:
     """Raise InputError unless a value is a finite number or NaN."""
     is_number = isinstance(value, int | np.integer | float | np.floating) and not isinstance(value, bool)
     if not is_number or np.isinf(value):
-        raise InputError(f"{name} must be a number, or nan if it is unknown, got {value!r}")
+        raise InputError(f"{name} must be a number, or nan if unknown, got {value!r}")
 
 
 def require_designed(designed: DesignedManifests) -> DesignedManifests:
@@ -119,12 +120,12 @@ def require_designed(designed: DesignedManifests) -> DesignedManifests:
     Returns
     -------
     DesignedManifests
-        `designed`, unchanged.
+        The manifests in `designed`, unchanged.
 
     Raises
     ------
     InputError
-        A value is not allowed, as in `require_manifest`. Grades are not checked, because Sobol samples have no grade.
+        A value is not allowed; see `require_manifest`. Grades are not checked, because Sobol samples have no grade.
     """
     for name, table in (
         ("response_curves", designed.response_curves),
@@ -140,7 +141,7 @@ def require_designed(designed: DesignedManifests) -> DesignedManifests:
 def require_unique_files(manifest: pd.DataFrame, table_name: str = "manifest") -> None:
     """Check that no two rows have the same file path or file content.
 
-    A file in two rows could be in both the training and the test set, or serve as its own repeat radiograph.
+    A file in two rows could be in both the training set and the test set, or be used as its own repeat radiograph.
 
     Parameters
     ----------

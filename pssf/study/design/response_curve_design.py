@@ -1,7 +1,7 @@
 """Plans of response curves: knees imaged again while one protocol parameter is changed in steps.
 
 The quantum noise of each step is independent. The agreement between a feature at a step and the same feature in the
-cohort therefore includes the effect of noise. An axis may also change coupled parameters so that only the studied
+cohort therefore includes the effect of noise. An axis may also change coupled parameters, so that only the investigated
 effect varies; see `PROTOCOL_AXES`.
 """
 
@@ -24,9 +24,10 @@ from .classification_tasks import TASKS, select_contrast
 if TYPE_CHECKING:
     import pandas as pd
 
-# Second key of the random stream, after the index of the knee; `cohort.cohort_plan` uses other keys.
+# Second key of the random stream, after the knee index; `cohort.cohort_plan` uses other keys.
 _CURVE_STREAM = 6
-# Radiographers halve the mAs for 15 % more kV (Bushong, Radiologic Science for Technologists; cited from memory).
+# Exponent of the 15 % rule: halve the mAs for 15 % more kV (Bushong, Radiologic Science for Technologists; cited from
+# memory).
 _KV_EXPONENT = np.log(2) / np.log(1.15)
 
 
@@ -69,22 +70,22 @@ class DesignedManifests:
 
 @dataclass(frozen=True, kw_only=True)
 class ProtocolAxis:
-    """A protocol parameter that a response curve varies.
+    """Protocol parameter that a response curve varies.
 
     Parameters
     ----------
     label : str
-        Axis label in figures, with the unit or the reference of a step.
+        Axis label in figures, with the unit of a step or the quantity to which it is relative.
     field : str
         Field of `Protocol` that is varied.
     step_kind : str
-        "factor" multiplies the protocol's value by a step; "offset" adds the step to it.
+        "factor" multiplies the protocol value by a step; "offset" adds a step to the protocol value.
     steps : tuple of float
-        Seven steps; they include the unchanged protocol (1 for factors, 0 for offsets).
+        Seven steps, including the unchanged protocol (factor 1 or offset 0).
     scale : str
-        "linear" or "log": scale of the axis in figures and of the interpolation between steps.
+        Scale of the axis in figures and of the interpolation between steps: "linear" or "log".
     coupled_fields : callable
-        Function of the protocol and the new value of `field`; it returns the values of the coupled fields.
+        Function of the protocol and the new value of `field` that returns the values of coupled fields.
     """
 
     label: str
@@ -96,23 +97,23 @@ class ProtocolAxis:
 
     @property
     def reference_step(self) -> float:
-        """Step that leaves the protocol unchanged."""
+        """Step for which the protocol is unchanged."""
         return 1.0 if self.step_kind == "factor" else 0.0
 
     def vary(self, protocol: Protocol, step: float) -> Protocol:
-        """Change the protocol by one step.
+        """Return the protocol after a change by one step.
 
         Parameters
         ----------
         protocol : Protocol
             Unchanged protocol.
         step : float
-            Factor or offset of the field.
+            Factor or offset that is applied to the field.
 
         Returns
         -------
         Protocol
-            Protocol with the new values of the field and its coupled fields.
+            Protocol with the new values of the field and of coupled fields.
 
         Raises
         ------
@@ -130,21 +131,21 @@ def _hold_exposure(protocol: Protocol, tube_kv: float) -> dict[str, Any]:
 
 
 def _hold_field_of_view(protocol: Protocol, pixel_mm: float) -> dict[str, Any]:
-    """Compute the rows and columns that keep the field of view constant at a new pixel pitch."""
+    """Compute the numbers of rows and columns that keep the field of view constant at a new pixel pitch."""
     return {name: round(getattr(protocol, name) * protocol.pixel_mm / pixel_mm) for name in ("rows", "cols")}
 
 
 def _hold_detector_kerma(protocol: Protocol, sdd_mm: float) -> dict[str, Any]:
     """Compute the source-object distance and mAs that keep the detector kerma constant at a new SDD.
 
-    SDD is the source-detector distance. The object-detector distance stays the same.
+    SDD is the source-detector distance. The object-detector distance does not change.
     """
     mas = round(protocol.mas * (sdd_mm / protocol.sdd_mm) ** 2, 4)
     return {"sod_mm": round(sdd_mm - (protocol.sdd_mm - protocol.sod_mm), 4), "mas": mas}
 
 
-# Axes that do not change the geometry come first, because one ray casting serves all their steps. The last axis rotates
-# the leg, which needs a new knee model.
+# Axes that do not change the geometry are first, because one ray casting can be used for all their steps. The last axis
+# rotates the leg, which requires a new knee model.
 PROTOCOL_AXES = {
     "dose": ProtocolAxis(
         label="dose (relative mAs)",
@@ -204,31 +205,31 @@ PROTOCOL_AXES = {
 def plan_response_curves(plan: Plan, *, knees: int, reference: str, axes: Sequence[str] = tuple(PROTOCOL_AXES)) -> Plan:
     """Plan radiographs of some knees at every step of every axis.
 
-    One knee per subject is used. Half of the knees have grade 0. The other half is split evenly between the grades of
-    the second class of the task from `classification_tasks.select_contrast`. In an exposure, `retest_kind` is the name
-    of the axis and `repeat_index` is the number of the step, counted from 1.
+    One knee per subject is used. Half of the knees have grade 0. The other half is divided evenly between the grades of
+    the second class in the task from `classification_tasks.select_contrast`. In each exposure, `retest_kind` is the
+    axis name and `repeat_index` is the step number, starting at 1.
 
     Parameters
     ----------
     plan : Plan
         Plan of the cohort.
     knees : int
-        Number of knees, at least 4. Fewer are planned if the cohort has too few subjects of a grade.
+        Number of knees, at least 4. Fewer knees are planned if the cohort has too few subjects of a grade.
     reference : str
-        Name of the protocol to vary. If acquisitions are sampled, each knee has its own version of the protocol.
+        Name of the protocol to vary. With acquisition variability, each knee has its own variant of the protocol.
     axes : sequence of str
-        Names of axes in `PROTOCOL_AXES`. The noise of an axis does not depend on which axes are chosen.
+        Names of axes in `PROTOCOL_AXES`. The noise along an axis is independent of the selection of axes.
 
     Returns
     -------
     Plan
-        Plan of the chosen knees, with one exposure per axis and step.
+        Plan of the selected knees, with one exposure per axis and step.
 
     Raises
     ------
     InputError
-        There are fewer than four knees, or the plan does not contain the protocol. A step is outside the range of its
-        field, or the grades allow no two-class task.
+        There are fewer than four knees, or the plan does not contain the protocol. The error is also raised if a step
+        is outside the range of the field, or the grades allow no two-class task.
     """
     require_integer("curve_knees", knees, 4, 100_000, "knees")
     present = {case.knee.grade for case in plan.cases if case.knee.grade is not None}
@@ -245,12 +246,12 @@ def plan_response_curves(plan: Plan, *, knees: int, reference: str, axes: Sequen
 
 
 def _plan_case(seed: int, case: Case, reference: str, axes: Sequence[str]) -> Case:
-    """Plan the exposures of one knee at every step of the chosen axes."""
+    """Plan the exposures of one knee at every step of the selected axes."""
     known = {exposure.protocol.name: exposure.protocol for exposure in case.exposures}
     if reference not in known:
         raise InputError(f"protocol must be one of {', '.join(known)}, got {reference!r}")
     root = np.random.SeedSequence(seed, spawn_key=(case.index, _CURVE_STREAM))
-    # Seeds are generated for all axes, so the noise of an axis does not depend on which axes are chosen.
+    # Seeds are generated for all axes, so that the noise along an axis is independent of the selection of axes.
     states = iter(root.generate_state(sum(len(axis.steps) for axis in PROTOCOL_AXES.values()), np.uint64))
     exposures = []
     for name, axis in PROTOCOL_AXES.items():

@@ -1,7 +1,7 @@
 """Plans of radiographs for a sensitivity analysis over the parameters of knee and protocol.
 
 The module plans two designs. Sobol samples vary all parameters at once (Sobol 1993; Saltelli 2010). Sensitivity pairs
-change one parameter of a cohort knee and keep the noise, which gives a local slope.
+change one parameter of a cohort knee at unchanged noise, which yields a local slope.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -21,20 +21,20 @@ from ...core.checks import Array, InputError, require_integer
 from ...model.knee import Knee, Osteophyte
 from ...model.protocol import Protocol
 
-# Smallest number of Sobol samples. With 64 samples, at least 96 % of the intervals contain the known index of a test
-# function (tests/test_sensitivity_analysis.py). Decorrelation needs more samples than columns.
+# Smallest number of Sobol samples. With 64 samples, at least 96 % of the 95 % intervals contain the known index of a
+# test function (tests/test_sensitivity_analysis.py). Decorrelation needs more samples than columns.
 MIN_SAMPLES = 64
-# Number of seeds that a float between 0 and 1 can distinguish.
+# Number of distinct seeds that a float64 between 0 and 1 can represent.
 _SEED_COUNT = 2**53
-# Smallest osteophyte, in mm; the same limit as in the model of a knee.
+# Minimum osteophyte size, in mm; equal to the limit in the knee model.
 _MIN_OSTEOPHYTE_MM = 0.2
-# Sites at which osteophytes are added to a knee without osteophytes.
+# Sites of the osteophytes that are added to a knee without osteophytes.
 _DEFAULT_OSTEOPHYTE_SITES = ("medial_tibia", "medial_femur")
-# Percentiles of the cohort that are the bounds of a knee parameter.
+# Percentiles of the cohort that define the bounds of a knee parameter.
 _PERCENTILES = (5.0, 95.0)
-# Step of a sensitivity pair, as a fraction of the range between the bounds of the parameter.
+# Step of a sensitivity pair, as a fraction of the difference between upper and lower parameter bound; assumed.
 STEP_FRACTION = 0.1
-# Largest ratio of the mAs at an imaging site to the reference mAs, dimensionless (assumed).
+# Largest ratio of the mAs at an imaging site to the reference mAs, dimensionless; assumed.
 _MAS = 2.0
 # Largest difference between the tube voltage at an imaging site and the reference, in kV (assumed).
 _KV = 5.0
@@ -47,14 +47,14 @@ NOISE_GROUP = "texture and noise"
 
 
 class KneeAcquisition(NamedTuple):
-    """A knee, a protocol and the seed of the quantum noise.
+    """Knee, protocol and seed of the quantum noise.
 
     Attributes
     ----------
     knee : Knee
         Parameters of the knee.
     protocol : Protocol
-        Parameters of the acquisition.
+        Acquisition parameters.
     seed : int
         Seed of the quantum noise.
     """
@@ -73,11 +73,11 @@ class Parameter:
     group : str
         Parameter group; Sobol indices are computed per group.
     label : str
-        Label in tables. Labels of knee parameters are those of `statistics.analyses.knee_parameters.PARAMETERS`.
+        Label in tables. Knee parameters have the labels of `statistics.analyses.knee_parameters.PARAMETERS`.
     read_value : callable
-        Function that reads the value from a `KneeAcquisition`.
+        Function that returns the parameter value of a `KneeAcquisition`.
     set_value : callable
-        Function that returns a `KneeAcquisition` with a new value.
+        Function that returns a `KneeAcquisition` with a new parameter value.
     """
 
     group: str
@@ -87,7 +87,7 @@ class Parameter:
 
 
 def _replace_anatomy(knee: Knee, **fields: Any) -> Knee:
-    """Change the anatomy of a knee and remove its grade, which no longer applies."""
+    """Change the anatomy of a knee and remove its grade, which may no longer be correct."""
     return replace(knee, **fields, grade=None, grade_table=None, reader_grade=None)
 
 
@@ -114,14 +114,14 @@ def _make_protocol_parameter(group: str, label: str, name: str) -> Parameter:
 
 
 def _largest_osteophyte_mm(acquisition: KneeAcquisition) -> float:
-    """Find the size of the largest osteophyte, in mm; 0 without osteophytes."""
+    """Return the size of the largest osteophyte, in mm; 0 without osteophytes."""
     return max((one.size_mm for one in acquisition.knee.osteophytes), default=0.0)
 
 
 def _scale_osteophytes(acquisition: KneeAcquisition, size_mm: float) -> KneeAcquisition:
-    """Scale all osteophytes by the same factor so that the largest has the given size.
+    """Scale all osteophytes by the same factor, so that the largest osteophyte has the specified size.
 
-    A knee without osteophytes gets two at its medial margin.
+    If the knee has no osteophytes, two are added at the medial margin.
     """
     largest = _largest_osteophyte_mm(acquisition)
     before = acquisition.knee.osteophytes or tuple(
@@ -159,7 +159,7 @@ PARAMETER_SPACE = {
     "beam_angle_deg": _make_protocol_parameter("beam", "beam tilt, deg", "beam_angle_deg"),
     "chance": Parameter(NOISE_GROUP, NOISE_GROUP, lambda taken: 0.5, _replace_seeds),
 }
-# Parameters that a sensitivity pair changes; random seeds have no slope.
+# Parameters that sensitivity pairs change; random seeds are excluded because they have no slope.
 SLOPE_PARAMETERS = tuple(name for name in PARAMETER_SPACE if name != "chance")
 
 
@@ -167,14 +167,14 @@ def compute_bounds(plan: Plan, reference: str) -> dict[str, tuple[float, float]]
     """Compute the bounds of each parameter.
 
     Knee parameters span the 5th to 95th percentile of the knees of the plan. Protocol parameters span the assumed
-    differences between imaging sites. Parameters with the same value in all knees are omitted.
+    differences between imaging sites. Parameters that are constant over the knees are omitted.
 
     Parameters
     ----------
     plan : Plan
         Plan of the cohort.
     reference : str
-        Name of the protocol; its median values are the centre of the protocol bounds.
+        Name of the reference protocol; its median values are the centres of the protocol parameter bounds.
 
     Returns
     -------
@@ -199,12 +199,12 @@ def compute_bounds(plan: Plan, reference: str) -> dict[str, tuple[float, float]]
     bounds["focal_spot_mm"] = (middle["focal_spot_mm"] / _SPOT, middle["focal_spot_mm"] * _SPOT)
     bounds["beam_angle_deg"] = (middle["beam_angle_deg"] - _TILT_DEG, middle["beam_angle_deg"] + _TILT_DEG)
     bounds["chance"] = (0.0, 1.0)
-    # A parameter that is the same in all knees has equal bounds and is omitted.
+    # A parameter that is constant over the knees has equal bounds and is omitted.
     return {name: (low, high) for name, (low, high) in bounds.items() if high > low}
 
 
 def build_salib_problem(bounds: Mapping[str, tuple[float, float]]) -> dict[str, Any]:
-    """Build the problem definition of SALib, with groups of parameters.
+    """Build the SALib problem definition, with parameter groups.
 
     Parameters
     ----------
@@ -227,10 +227,10 @@ def build_salib_problem(bounds: Mapping[str, tuple[float, float]]) -> dict[str, 
 def sample_parameters(bounds: Mapping[str, tuple[float, float]], samples: int, seed: int) -> Array:
     """Sample the points of a Sobol design in the row order that SALib expects.
 
-    Two decorrelated Latin hypercubes A and B are sampled. Each sample gives a row of A, mixed rows, and a row
-    of B. There is one mixed row per group: the columns of the group are from B, the other columns from A. Sobol's
-    sequence is not used: with 64 points some columns have a correlation of 0.75 under any scrambling. The 95 %
-    intervals then contain only 89 % of the known indices.
+    Two decorrelated Latin hypercubes A and B are sampled. Each sample yields a row of A, mixed rows, and a row of B.
+    There is one mixed row per group: the columns of the group are from B, the other columns from A. The Sobol sequence
+    is not used: with 64 points, some columns have a correlation of 0.75 under any scrambling, and the 95 % intervals
+    contain only 89 % of the known indices.
 
     Parameters
     ----------
@@ -259,8 +259,8 @@ def sample_parameters(bounds: Mapping[str, tuple[float, float]], samples: int, s
 def _decorrelate(unit_samples: Array) -> Array:
     """Reorder the values of each column so that the columns are uncorrelated.
 
-    The method is that of Iman and Conover 1982 (Commun Stat B 11, 311). `unit_samples` is a (samples, columns) array of
-    numbers between 0 and 1, with more samples than columns.
+    The method is described by Iman and Conover 1982 (Commun Stat B 11, 311). `unit_samples` is a (samples, columns)
+    array of numbers between 0 and 1, with more samples than columns.
     """
     scores = ndtri(unit_samples)
     scores = (scores - scores.mean(axis=0)) / scores.std(axis=0)
@@ -271,8 +271,8 @@ def _decorrelate(unit_samples: Array) -> Array:
 def plan_sobol_samples(plan: Plan, *, samples: int, reference: str) -> Plan:
     """Plan the radiographs of a Sobol design.
 
-    All other parameters are those of the first knee of the plan. In an exposure, `retest_kind` is "sobol" and
-    `repeat_index` is the row of the design, counted from 1.
+    All other parameters have the values of the first knee in the plan. In each exposure, `retest_kind` is "sobol" and
+    `repeat_index` is the design row, starting at 1.
 
     Parameters
     ----------
@@ -322,10 +322,10 @@ def plan_sobol_samples(plan: Plan, *, samples: int, reference: str) -> Plan:
 def plan_sensitivity_pairs(
     plan: Plan, *, knees: int, reference: str, parameters: Sequence[str] = SLOPE_PARAMETERS
 ) -> Plan:
-    """Plan a second radiograph of some knees for each parameter, with that parameter increased by a tenth of its range.
+    """Plan a second radiograph of some knees for each parameter, with the parameter increased by a tenth of its range.
 
-    The noise seed stays the same. Knees are chosen from each grade in turn. In an exposure, `retest_kind` is the name
-    of the parameter. If the increased value is not allowed, the parameter is decreased instead.
+    The noise seed is unchanged. Knees are selected from each grade in turn. In each exposure, `retest_kind` is the
+    parameter name. If the increased value is not allowed, the parameter is decreased instead.
 
     Parameters
     ----------
@@ -336,7 +336,7 @@ def plan_sensitivity_pairs(
     reference : str
         Name of the protocol under which the knees are imaged.
     parameters : sequence of str
-        Names of parameters in `PARAMETER_SPACE`.
+        Names of parameters to change, from `PARAMETER_SPACE`.
 
     Returns
     -------
@@ -382,7 +382,7 @@ def interleave_grades(plan: Plan) -> list[Case]:
     Returns
     -------
     list of Case
-        All cases: the first of each grade, then the second of each grade, and so on.
+        All cases: the first case of each grade, then the second case of each grade, and so on.
     """
     seen: dict[int | None, int] = {}
     places = []
@@ -401,7 +401,7 @@ def _step_parameter(acquisition: KneeAcquisition, parameter: Parameter, step: fl
 
 
 def _find_acquisition(case: Case, reference: str) -> KneeAcquisition:
-    """Find the exposure of a case under the reference protocol, or raise InputError."""
+    """Find the exposure of a case under the reference protocol; raise InputError if there is none."""
     for exposure in case.exposures:
         if exposure.protocol.name == reference:
             return KneeAcquisition(case.knee, exposure.protocol, exposure.seed)

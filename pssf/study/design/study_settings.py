@@ -1,4 +1,4 @@
-"""Settings of features, models and statistics in a study."""
+"""Study settings: regions, features, models and statistics."""
 
 from dataclasses import dataclass, field
 
@@ -12,14 +12,14 @@ from ...core.checks import (
 from ...radiomics.features.feature_backends import default_backend, require_backend
 from ...radiomics.features.feature_families import FAMILIES
 
-# Feature selections and classifiers: name in settings and tables -> label in reports.
+# Label of each feature selection and classifier in reports, keyed by its name in settings and tables.
 SELECTIONS = {"l1": "L1", "mrmr": "mRMR"}
 MODELS = {"lr": "Logistic regression", "rf": "Random forest", "xgb": "XGBoost"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class StudySettings:
-    """All settings that the results of a study depend on, except those of the cohort.
+    """All settings that affect the results of a study, except cohort settings.
 
     Parameters
     ----------
@@ -32,10 +32,10 @@ class StudySettings:
     seed : int
         Seed of splits, models and bootstraps, 0 to 2**63 - 1.
     rho : float
-        Absolute Spearman correlation above which one of two features is pruned, 0.1 to 1; see
-        `learn.models.feature_selection.DropRedundant`.
+        Threshold of absolute Spearman correlation, 0.1 to 1; above it, one of two features is pruned
+        (`learn.models.feature_selection.DropRedundant`).
     most_features : int
-        Largest number of features that a selection may keep, 1 to 100.
+        Maximum number of selected features, 1 to 100.
     replicates : int
         Number of bootstrap samples of subjects for trends, ICCs and patient radiographs, 100 to 100000.
     families : tuple of str
@@ -45,12 +45,12 @@ class StudySettings:
     models : tuple of str
         Classifiers, from `MODELS`.
     difference : float
-        Difference of AUC for which the power is computed, 0.001 to 0.5.
+        AUC difference for which the power is computed, 0.001 to 0.5.
     strengths : tuple of float
-        Strengths of the association between a confounder and the grade, 0 to 0.95. Strength 0 is required, because the
-        other strengths are compared with it.
+        Strengths of the association between a confounder and the grade, 0 to 0.95. Strength 0 is required as the
+        reference for the other strengths.
     reference : str
-        Protocol of the within-protocol scenario and reference of the pairwise ICCs.
+        Reference protocol of the within-protocol scenario and of the pairwise ICCs.
     backend : str
         Radiomics backend, from `radiomics.features.feature_backends.BACKENDS`.
 
@@ -89,7 +89,7 @@ class StudySettings:
             require_in_range("strengths", strength, 0, 0.95, "(of the association)")
         if 0 not in self.strengths or len(set(self.strengths)) < len(self.strengths):
             raise InputError(
-                f"strengths must include 0 and each value once, got {', '.join(map(str, self.strengths)) or 'none'}"
+                f"strengths must include 0, and each value once, got {', '.join(map(str, self.strengths)) or 'none'}"
             )
         for name, allowed in (("families", FAMILIES), ("selections", SELECTIONS), ("models", MODELS)):
             given = getattr(self, name)

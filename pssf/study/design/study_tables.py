@@ -1,4 +1,4 @@
-"""Data tables of the package that a study reads; they are loaded once and kept in the study context."""
+"""Data tables of the package that a study needs; they are loaded once and stored in the study context."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,14 +15,14 @@ from ...radiomics.radiomics_tables import RadiomicsTables, radiomics_tables
 
 @dataclass(frozen=True, kw_only=True)
 class StudyTables:
-    """Data tables that a study reads.
+    """Data tables that a study needs.
 
     Attributes
     ----------
     radiomics : RadiomicsTables
-        Limits of joint localisation and IBSI tags of features.
+        Joint localisation limits, and IBSI tags of features.
     gap_alone_auc : mapping of str to tuple of float
-        AUC, and its interval, of the smaller joint gap on patient radiographs; see `LandmarkReference`.
+        AUC of the smaller joint gap on patient radiographs, with its interval; see `LandmarkReference`.
     guidelines : mapping of str to Guideline
         Items of each reporting guideline.
     """
@@ -38,7 +38,7 @@ def load_study_tables() -> StudyTables:
     Returns
     -------
     StudyTables
-        All tables that a study reads.
+        All tables that a study needs.
     """
     return StudyTables(
         radiomics=radiomics_tables(),
@@ -53,12 +53,12 @@ def resolve_sampling_laws(manifest: pd.DataFrame) -> KneeDistributions | None:
     Parameters
     ----------
     manifest : DataFrame
-        Manifest of the cohort; its column ``grade_table`` names the distributions.
+        Cohort manifest; its column ``grade_table`` contains the name of the distributions.
 
     Returns
     -------
     KneeDistributions or None
-        Distributions; None if the manifest does not name exactly one table, or the file of the table is missing.
+        Distributions; None if the manifest does not name exactly one grade table, or the table file is missing.
     """
     names = set(manifest["grade_table"]) if "grade_table" in manifest else set()
     if len(names) != 1:

@@ -1,7 +1,7 @@
 """Baselines on the fixed splits of a benchmark data set: true and measured JSW, radiomics, and a small network.
 
-All baselines are trained on one protocol. Radiomics and the network are also tested under every other protocol. JSW is
-a property of the knee, so the JSW baselines are tested once.
+All baselines are trained on one protocol. Radiomics and the network are also tested on every other protocol. JSW is a
+property of the knee, so the JSW baselines are tested once.
 """
 
 from collections.abc import Callable, Mapping
@@ -31,13 +31,13 @@ from .models.classifiers import FittedModel
 from .models.small_network import PYTORCH_MISSING, is_pytorch_installed, train_network
 from .subject_split import PARTS, derive_split_seed, split_subjects
 
-# Baseline -> label.
+# Label of each baseline.
 PREDICTORS = {"jsw": "True JSW", "measured": "Measured JSW", "radiomics": "Radiomics", "cnn": "Small CNN"}
 BENCHMARK_TASKS = ("0 vs 2", "0 vs 3+4", "0/1/2/3/4")
-# Baselines that use properties of the knee and not the image.
+# Baselines that use knee properties instead of the image.
 _KNEE_PREDICTORS = ("jsw", "measured")
 
-# Function from a table of knees to the probability of each class.
+# Function from a table of knees to class probabilities.
 Model = Callable[[pd.DataFrame], NDArray[np.float64]]
 
 
@@ -48,12 +48,13 @@ class BenchmarkData:
     Parameters
     ----------
     predictor_tables : mapping of str to DataFrame
-        Table from `incremental_value.build_predictor_table` for each protocol; the first protocol is the training
-        protocol.
+        Table from `incremental_value.build_predictor_table` for each protocol, keyed by protocol; the first protocol is
+        used for training.
     names : list of str
         Names of the features.
     images : mapping of str to (size, size) float32 array, optional
-        Image of each radiograph, from `small_network.make_network_input`, dimensionless. None: no network is trained.
+        Image of each radiograph, from `small_network.make_network_input`, dimensionless. If None, no network is
+        trained.
     """
 
     predictor_tables: Mapping[str, pd.DataFrame]
@@ -79,24 +80,24 @@ def build_benchmark_data(
     parameters : DataFrame
         Knee parameters, from `statistics.analyses.knee_parameters.extract_knee_parameters`.
     settings : StudySettings
-        Settings; their reference protocol is the training protocol.
+        Study settings; the reference protocol is used for training.
     images : mapping of str to (size, size) float32 array, dimensionless, optional
-        Image of each radiograph, from `small_network.make_network_input`. None: no network is trained.
+        Image of each radiograph, from `small_network.make_network_input`. If None, no network is trained.
 
     Returns
     -------
     BenchmarkData
-        Tables and images.
+        Predictor tables and images of the data set.
 
     Raises
     ------
     InputError
-        No region was located under the training protocol.
+        No region is located under the training protocol.
     """
     if not (usable["protocol"] == settings.reference).any():
         raise InputError(
             f"at least one region must be located under {settings.reference}, got 0: "
-            "models are trained on images of this protocol"
+            "the baselines are trained on this protocol"
         )
     known = {}
     for protocol in list_protocols(usable, settings.reference):
@@ -107,14 +108,14 @@ def build_benchmark_data(
 
 
 def make_splits(manifest: pd.DataFrame, settings: StudySettings) -> pd.DataFrame:
-    """Make the fixed splits of all subjects of a manifest, including those without a located region.
+    """Make the fixed splits of all subjects in a manifest, including subjects without a located region.
 
     Parameters
     ----------
     manifest : DataFrame
         One row per radiograph: subject and grade.
     settings : StudySettings
-        Settings of the study; seed and number of splits are used.
+        Study settings; seed and number of splits are used.
 
     Returns
     -------
@@ -136,7 +137,7 @@ def make_splits(manifest: pd.DataFrame, settings: StudySettings) -> pd.DataFrame
 def predict_baselines(
     films: BenchmarkData, splits: pd.DataFrame, settings: StudySettings, execution: Execution
 ) -> pd.DataFrame:
-    """Train all baselines on every split and predict the test subjects.
+    """Train all baselines on every split, and predict the classes of the test subjects.
 
     Parameters
     ----------
@@ -152,12 +153,13 @@ def predict_baselines(
     Returns
     -------
     DataFrame
-        Predictions as in `predictions.SplitOutcome`; the column ``model`` is one of `PREDICTORS`.
+        Predictions, with the columns of `predictions.SplitOutcome.predictions`; the column ``model`` is one of
+        `PREDICTORS`.
 
     Raises
     ------
     InputError
-        No split has the grades of a task, or a worker runs another version of the code.
+        No split contains the grades of a task, or a worker process has a different code version.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -167,7 +169,7 @@ def predict_baselines(
     if predictions.empty:
         grades = sorted({int(grade) for table in films.predictor_tables.values() for grade in table["grade"]})
         raise InputError(
-            "grades with a located region must include all grades of one task among "
+            "grades with a located region must include all grades of at least one task among "
             f"{', '.join(BENCHMARK_TASKS)}, got {grades}"
         )
     return predictions
@@ -179,7 +181,7 @@ def explain_missing_network() -> str:
     Returns
     -------
     str
-        Reason why no network is trained; "" if PyTorch is installed.
+        Text with the reason; "" if PyTorch is installed.
     """
     return "" if is_pytorch_installed() else PYTORCH_MISSING
 
@@ -187,12 +189,12 @@ def explain_missing_network() -> str:
 def predict_baselines_split(
     repeat: int, *, films: BenchmarkData, splits: pd.DataFrame, settings: StudySettings, code: Mapping[str, str]
 ) -> list[dict[str, Any]]:
-    """Train all baselines on one split and predict its test subjects.
+    """Train all baselines on one split, and predict the classes of the test subjects.
 
     Parameters
     ----------
     repeat : int
-        Index of the split, counted from 0.
+        Index of the split, starting at 0.
     films : BenchmarkData
         Tables and images of the data set.
     splits : DataFrame
@@ -200,7 +202,7 @@ def predict_baselines_split(
     settings : StudySettings
         Settings of models and splits.
     code : mapping of str to str
-        Code hashes in the process that started the run.
+        Code hashes of the process that started the run, keyed by subpackage.
 
     Returns
     -------
@@ -245,7 +247,7 @@ def _fit_models(
     settings: StudySettings,
     seed: int,
 ) -> dict[str, Model]:
-    """Fit every baseline; return functions from a table to its class probabilities (rows, classes), by name."""
+    """Fit every baseline; return, by name, a function from a table to class probabilities (rows, classes)."""
     truths = [_find_truth(part, classes) for part in (training, validation)]
     models: dict[str, Model] = {}
     for name, predictor_set in find_predictor_sets(training, films.names).items():
@@ -262,12 +264,12 @@ def _fit_models(
 
 
 def _predict_probabilities(fitted: FittedModel, predictor_set: PredictorSet, test: pd.DataFrame) -> NDArray[np.float64]:
-    """Predict the probabilities (rows, classes) of a table with a fitted predictor set."""
+    """Predict the class probabilities (rows, classes) of a table with a fitted predictor set."""
     return np.asarray(fitted.pipeline.predict_proba(test[predictor_set.columns]), np.float64)
 
 
 def _stack_images(films: BenchmarkData, table: pd.DataFrame) -> NDArray[np.float32]:
-    """Stack the images of the radiographs of a table as (rows, size, size)."""
+    """Stack the images of all radiographs in a table as an array (rows, size, size)."""
     assert films.images is not None
     side = next(iter(films.images.values())).shape[0]
     shown = [films.images[name] for name in table["radiograph"]]
@@ -275,7 +277,7 @@ def _stack_images(films: BenchmarkData, table: pd.DataFrame) -> NDArray[np.float
 
 
 def _find_truth(table: pd.DataFrame, classes: Classes) -> NDArray[np.int64]:
-    """Find the class index of each row of a table, as a (rows,) array."""
+    """Find the class index of each table row, as a (rows,) array."""
     return find_class_indices(table["grade"].to_numpy(), classes)
 
 

@@ -1,10 +1,13 @@
-"""Training on data in which age, BMI or imaging site is associated with grade by a chosen strength.
+"""Training on data in which age, BMI or imaging site is associated with grade, at a specified strength s.
 
-At strength s, a fraction (1 + s)/2 of the training subjects of grade 2 is above the median age or BMI. The same
-fraction of grade 0 is below the median. Subsampling of the subjects sets these fractions; the number of remaining
-subjects does not depend on s. For the imaging site, a fraction (1 + s)/2 of grade 2 is imaged under the second
-protocol. The same fraction of grade 0 is imaged under the reference protocol. Test subjects are weighted so that
-confounder and grade are associated as in training, or not at all.
+For age and BMI, a fraction (1 + s)/2 of the training subjects of grade 2 is above the median. The same fraction of the
+training subjects of grade 0 is below the median. Subsampling of the subjects sets these fractions; the number of
+remaining subjects does not depend on s.
+
+For the imaging site, a fraction (1 + s)/2 of grade 2 is imaged under the second protocol. The same fraction of grade 0
+is imaged under the reference protocol.
+
+Test subjects are weighted so that confounder and grade are associated as in training, or not at all.
 """
 
 from dataclasses import dataclass
@@ -27,19 +30,19 @@ from .models.classifiers import tune_classifier
 from .models.feature_selection import build_feature_pipeline
 from .subject_split import derive_split_seed, split_subjects
 
-# Confounder (column name) -> label.
+# Label of each confounder, keyed by column name.
 CONFOUNDERS = {"age_years": "age", "bmi": "BMI", "site": "site (protocol)"}
 CLASSES = TASKS["0 vs 2"]
-# Smallest number of training subjects per grade.
+# Minimum number of training subjects per grade.
 _MIN_SUBJECTS_PER_GRADE = 4
-# Second key of the random stream, after the index of the split; `incremental_value` and `response_curves` use others.
+# Second key of the random stream, after the split index; `incremental_value` and `response_curves` use other keys.
 _STREAM = 4
 _COLUMNS = ["repeat", "confounder", "strength", "model", "training_subjects", "test_subjects", "tied", "untied"]
 
 
 @dataclass(frozen=True)
 class ConfoundedSplit:
-    """Radiographs of one split with the added columns ``c`` (confounder value) and ``high`` (level).
+    """Radiographs of one split, with added columns for the value (``c``) and the level (``high``) of the confounder.
 
     Attributes
     ----------
@@ -48,7 +51,7 @@ class ConfoundedSplit:
     validation : DataFrame
         Validation radiographs, in which the confounder is associated with grade as in training.
     test : DataFrame
-        Test radiographs. For age and BMI there is one per knee; for the site, one per knee and protocol.
+        Test radiographs: one per knee for age and BMI; one per knee and protocol for the imaging site.
     """
 
     training: pd.DataFrame
@@ -64,13 +67,13 @@ def evaluate_confounding(
     Parameters
     ----------
     radiographs : DataFrame
-        Radiographs with a located region: knee, subject, grade, protocol, features; age_years and bmi if known.
+        Radiographs with a located region: knee, subject, grade, protocol, features; also age_years and bmi if known.
     names : list of str
         Names of the features.
     confounders : list of str
         Confounders, from `CONFOUNDERS`.
     settings : StudySettings
-        Settings of models and splits, with the strengths of the association.
+        Study settings of models and splits, and strengths of the association.
     execution : Execution
         Workers, scheduler, timer and progress bar.
 
@@ -78,12 +81,12 @@ def evaluate_confounding(
     -------
     DataFrame
         Columns: repeat, confounder, strength, model ("naive" or "adjusted"), training_subjects, test_subjects, tied
-        (AUC with the association) and untied (AUC without it).
+        (AUC with the association) and untied (AUC without the association).
 
     Raises
     ------
     InputError
-        A worker runs another version of the code.
+        A worker process has a different code version.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -107,7 +110,7 @@ def evaluate_confounding_split(
     Parameters
     ----------
     repeat : int
-        Index of the split, counted from 0.
+        Index of the split, starting at 0.
     known : DataFrame
         Table of radiographs, as for `evaluate_confounding`.
     names : list of str
@@ -117,7 +120,7 @@ def evaluate_confounding_split(
     settings : StudySettings
         Settings of models and splits.
     code : dict of str to str
-        Code hashes in the process that started the run.
+        Code hashes of the process that started the run, keyed by subpackage.
 
     Returns
     -------
@@ -158,9 +161,9 @@ def build_confounded_split(
     strength : float
         Strength of the association, 0 to 0.95.
     settings : StudySettings
-        Settings of the study; seed, reference protocol and strengths are used.
+        Study settings; seed, reference protocol and strengths are used.
     repeat : int
-        Index of the split, counted from 0.
+        Index of the split, starting at 0.
 
     Returns
     -------
@@ -187,7 +190,7 @@ def build_confounded_split(
 
 
 def _is_matched(part: pd.DataFrame) -> NDArray[np.bool_]:
-    """Check for each radiograph whether its confounder level is the one associated with its grade."""
+    """Report for each radiograph whether the confounder level is the level associated with its grade."""
     return np.asarray(part["high"].to_numpy(bool) == (part["grade"] == CLASSES[1][0]).to_numpy())
 
 
@@ -196,7 +199,7 @@ def _subsample_subjects(
 ) -> pd.DataFrame:
     """Subsample each grade so that a fraction (1 + strength)/2 of its subjects has the associated level.
 
-    The number of subjects is the largest that every strength allows.
+    The number of subjects is the largest number that is possible for every strength.
     """
     subjects = pool.drop_duplicates("subject")
     cells = {
@@ -205,7 +208,7 @@ def _subsample_subjects(
     }
     grades = sum(CLASSES, ())
     counts = [len(cells.get((grade, side), ())) for grade in grades for side in (True, False)]
-    # The number of subjects is the same for all strengths, so only the association differs.
+    # The number of subjects is the same for all strengths, so that only the association differs.
     most = int(min(counts) * 2 / (1 + strongest))
     kept: list[Any] = []
     for grade in grades:
@@ -215,7 +218,7 @@ def _subsample_subjects(
 
 
 def _assign_sites(pool: pd.DataFrame, sites: list[str], strength: float, rng: np.random.Generator) -> pd.DataFrame:
-    """Choose one of two protocols for each subject so that protocol and grade are associated."""
+    """Assign one of two protocols to each subject, so that protocol and grade are associated."""
     parts = []
     for place, (grade,) in enumerate(CLASSES):
         part = pool[pool["grade"] == grade]
@@ -257,7 +260,7 @@ def _score_models(
 
 
 def compute_cell_weights(part: pd.DataFrame, strength: float) -> Array:
-    """Compute weights that give confounder level and grade an association of the given strength.
+    """Compute weights for which confounder level and grade have an association of specified strength.
 
     Parameters
     ----------
@@ -279,7 +282,7 @@ def compute_cell_weights(part: pd.DataFrame, strength: float) -> Array:
 
 
 def fit_confounder_slopes(training: pd.DataFrame, names: list[str]) -> Array:
-    """Fit the slope of each feature against the confounder by least squares, with one intercept per grade.
+    """Fit the slope of each feature against the confounder by least squares, with a separate intercept for each grade.
 
     Parameters
     ----------

@@ -10,22 +10,22 @@ from ...data.code_hash import compute_code_hashes
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
-# Subpackages whose code affects the result of a split.
+# Subpackages whose code affects the results of a split.
 CODE_PACKAGES = ("core", "radiomics", "study")
 
 
 def map_splits(
     function: Callable[..., Result], jobs: Sequence[Job], shared: Mapping[str, Any], execution: Execution, stage: str
 ) -> list[Result]:
-    """Call a function for each job in parallel and return the results in order.
+    """Call a function for each job in parallel, and return the results in order.
 
-    The called function checks that the worker runs the same code as this process.
+    The called function checks that the worker has the same code version as this process.
 
     Parameters
     ----------
     function : callable
-        Function of a job; its keyword arguments are those in `shared` and ``code``. Workers must be able to import the
-        function.
+        Function of a job, with the entries of `shared` and ``code`` as keyword arguments. Workers must be able to
+        import the function.
     jobs : sequence
         First argument of each call, such as the index of a split.
     shared : mapping of str to Any
@@ -43,7 +43,7 @@ def map_splits(
     Raises
     ------
     InputError
-        A worker runs another version of the code.
+        A worker process has a different code version.
     WorkersLostError
         Worker processes are killed repeatedly.
     """

@@ -1,10 +1,10 @@
-"""Highest AUC between grades that the parameters of sampled knees allow, without an image.
+"""Upper limit of the AUC between grades, estimated from the parameters of sampled knees without an image.
 
-A radiograph of a simulated knee cannot contain more information on the grade than the parameters of the knee. The
-distributions of a grade table overlap, so the AUC has an upper limit. The estimate is the higher AUC of two
-classifiers, which is a lower bound of this limit. With twice the default number of knees, the AUC stays within its
-interval. Boosted trees also use values at which a distribution is truncated; these values reveal the grade but are
-hardly visible in an image.
+A radiograph of a simulated knee cannot contain more information on the grade than the knee parameters. The
+distributions of the grades overlap, so the AUC has an upper limit. The estimate is the higher AUC of two classifiers,
+which is a lower bound of the upper limit. With twice the default number of knees, the AUC stays within its interval.
+Boosted trees also use values at which a distribution is truncated; these values reveal the grade but are hardly visible
+in an image.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,15 +26,15 @@ from ...model.knee import OSTEOPHYTE_SITES, Knee
 from ...model.sampling.knee_sampling import KneeDistributions, sample_knees
 from ..statistics.scores.metrics import auc_with_interval
 
-# Default number of knees; with five grades, a pair of grades has 12,000. For KL 0 vs 1 in grade table `population`,
-# the AUC of boosted trees is 0.84 with 1,600 knees, 0.88 with 3,200, 0.89 with 6,400, and 0.897 with 12,000 or 24,000.
-# The 95 % interval with 12,000 knees is +-0.006. Sampling takes half a minute.
+# Default number of knees; with five grades, a pair of grades has 12,000 knees. For KL 0 vs 1 in grade table
+# `population`, the AUC of boosted trees is 0.84 with 1,600 knees, 0.88 with 3,200, 0.89 with 6,400, and 0.897 with
+# 12,000 or 24,000. The 95 % interval with 12,000 knees is +-0.006. Sampling takes half a minute.
 DEFAULT_KNEE_COUNT = 30_000
 # Number of folds of the cross-validation.
 _FOLDS = 5
-# Columns of the joint space widths.
+# Joint space width columns.
 _JSW_COLUMNS = ("jsw_medial_mm", "jsw_lateral_mm", "jsw_least_mm")
-# Numeric fields of `Knee` used to predict the grade.
+# Numeric fields of `Knee` from which the grade is predicted.
 _SCALAR_PARAMETERS = (
     "jsw_medial_mm", "jsw_lateral_mm", "subchondral_plate", "varus_deg", "flexion_deg", "rotation_deg", "bone_scale",
     "cortex_scale", "tibial_slope_deg", "lean_deg", "fibular_tip_mm", "insall_salvati", "patellar_shift_mm",
@@ -46,26 +46,27 @@ _SCALAR_PARAMETERS = (
 def estimate_separability(
     laws: KneeDistributions, patient_auc: Mapping[str, Triple], *, knees: int = DEFAULT_KNEE_COUNT, seed: int = 0
 ) -> pd.DataFrame:
-    """Estimate the AUC of grade 0 against each other grade from parameters of sampled knees.
+    """Estimate the AUC between grade 0 and each other grade from parameters of sampled knees.
 
     Parameters
     ----------
     laws : KneeDistributions
         Distributions from which the knees are sampled.
     patient_auc : mapping of str to tuple of float
-        AUC and its interval on patient radiographs, from `LandmarkReference.gap_alone_auc`.
+        AUC and its interval on patient radiographs, keyed by grade pair; from `LandmarkReference.gap_alone_auc`.
     knees : int, default 30000
-        Number of knees, the same per grade, at least ten per grade. Knee k does not depend on this number.
+        Total number of knees, at least ten per grade, with equal numbers per grade. Knee k is independent of the total
+        number.
     seed : int, default 0
-        Seed of sampling and fits.
+        Seed of sampling and model fits.
 
     Returns
     -------
     DataFrame
         One row per pair of grades, set of parameters and method. Columns: grades; parameters ("smaller JSW", "JSW" or
         "all parameters"); method ("by rank", "logistic" or "boosted trees"); knees; auc, low and high (95 %, Hanley and
-        McNeil 1982); patient_auc, patient_auc_low and patient_auc_high. The last three are the AUC of the smaller joint
-        gap on patient radiographs; NaN in all rows except "smaller JSW".
+        McNeil 1982); patient_auc, patient_auc_low and patient_auc_high. The patient_auc columns are the AUC of the
+        smaller joint gap on patient radiographs, with its interval; NaN except for "smaller JSW".
 
     Raises
     ------
@@ -74,8 +75,8 @@ def estimate_separability(
 
     Notes
     -----
-    The AUC is computed on the held-out folds of a cross-validation, so the true limit is at least as high. With far
-    fewer knees than `DEFAULT_KNEE_COUNT`, the AUC is much lower.
+    The AUC is computed on the held-out folds of a cross-validation, so that the true limit is at least as high. With
+    far fewer knees than `DEFAULT_KNEE_COUNT`, the AUC is much lower.
     """
     grades = laws.grades.grades
     require_integer("knees", knees, 2 * _FOLDS * len(grades), 1_000_000, "")
@@ -99,14 +100,14 @@ def build_parameter_table(knees: Sequence[Knee], modes: int) -> pd.DataFrame:
     Parameters
     ----------
     knees : sequence of Knee
-        Knees, one per row of the table.
+        Knees in the order of the table rows.
     modes : int
-        Number of modes of bone shape, each of which becomes a column.
+        Number of bone shape modes; each mode is a column.
 
     Returns
     -------
     DataFrame
-        One row per knee.
+        Numeric parameters, one row per knee.
     """
     rows = []
     for knee in knees:
@@ -132,7 +133,7 @@ def _estimate_grade_pair(
     patient_auc: Mapping[str, Triple],
     seed: int,
 ) -> list[dict[str, Any]]:
-    """Estimate the AUC between two grades with each set of parameters and each method."""
+    """Estimate the AUC between two grades for each set of parameters and each method."""
     label: dict[str, Any] = {"grades": f"{pair[0]} vs {pair[1]}"}
     least = -parameters["jsw_least_mm"].to_numpy()
     of_patients = patient_auc.get(f"kl{pair[1]}") if pair[0] == 0 else None
@@ -151,7 +152,7 @@ def _estimate_grade_pair(
 
 
 def _predict_held_out(values: Array, is_worse: NDArray[np.bool_], classifier: str, seed: int) -> Array:
-    """Predict the probability of the higher grade by cross-validation, as a (rows,) array."""
+    """Predict the probability of the higher grade for held-out knees by cross-validation, as a (rows,) array."""
     folds = StratifiedKFold(_FOLDS, shuffle=True, random_state=seed % 2**32)
     model = {
         "logistic": make_pipeline(StandardScaler(), LogisticRegression(max_iter=1000)),
@@ -159,7 +160,7 @@ def _predict_held_out(values: Array, is_worse: NDArray[np.bool_], classifier: st
             max_iter=150, learning_rate=0.06, max_leaf_nodes=8, random_state=seed % 2**32
         ),
     }[classifier]
-    # One thread is used because fits of few rows are not faster with several threads.
+    # One thread is used, because fits of few rows are not faster with several threads.
     with threadpool_limits(limits=1):
         return np.asarray(
             cross_val_predict(model, values, is_worse, cv=folds, method="predict_proba")[:, 1], np.float64

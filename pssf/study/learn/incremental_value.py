@@ -1,8 +1,9 @@
 """Incremental value: AUC of predictor sets with true parameters, true or measured JSW, and features.
 
 Every predictor set is evaluated by logistic regression on the same splits, under the reference protocol, for grade 0
-against each other grade. The sets differ only in their columns. If a set has JSW and features, only the features are
-selected and JSW is always used; the difference to JSW alone is the incremental value of the features.
+against each other grade. The predictor sets differ only in their columns. If a set contains JSW and features, feature
+selection applies only to the features, and JSW is always used. The AUC difference to JSW alone is the incremental value
+of the features.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -31,7 +32,7 @@ from .models.feature_selection import build_feature_pipeline
 from .models.labelled_features import LabelledFeatures
 from .subject_split import Split, derive_split_seed, split_subjects
 
-# Predictor set -> label.
+# Label of each predictor set.
 PREDICTOR_SETS = {
     "parameters": "all true parameters",
     "jsw": "true JSW",
@@ -41,26 +42,26 @@ PREDICTOR_SETS = {
     "both": "measured JSW and radiomics",
 }
 # Standard error of JSW measured by software on semiflexed radiographs of the same X-ray unit, in mm (Mazzuca 1999, J
-# Rheumatol 26, 1359; 174 knees radiographed twice). It includes the repositioning error.
+# Rheumatol 26, 1359; 174 knees radiographed twice). The standard error includes the repositioning error.
 JSW_MEASUREMENT_SD_MM = 0.32
 _JSW_LOCATIONS = ("medial", "lateral", "least")
 _NOMINAL_JSW_COLUMNS = ("nominal_jsw_medial_mm", "nominal_jsw_lateral_mm")
 _TRUE, _MEASURED = (tuple(f"{kind}_{name}_mm" for name in _JSW_LOCATIONS) for kind in ("true", "measured"))
-# Key of the random stream of measurement errors, after the seed of the study.
+# Key of the random stream for measurement errors, after the study seed.
 _READING = 2**31 + 5
-# Key of the random stream of subsampling, after the seed of the study and the index of the split.
+# Key of the random stream for subsampling, after the study seed and the split index.
 _THINNING = 2
 _COLUMNS = ["grades", "predictor_set", "repeat", "training_subjects", *TEST_COUNT_COLUMNS, "auc"]
 
 
 @dataclass(frozen=True)
 class SplitJob:
-    """One split and the fraction of its training subjects to use.
+    """Split of the subjects, and fraction of its training subjects to use.
 
     Parameters
     ----------
     repeat : int
-        Index of the split, counted from 0.
+        Index of the split, starting at 0.
     training_fraction : float, default 1
         Fraction of the training and validation subjects, greater than 0 and at most 1.
     """
@@ -71,12 +72,12 @@ class SplitJob:
 
 @dataclass(frozen=True)
 class PredictorSet:
-    """Columns of a predictor set.
+    """Table columns that a predictor set uses.
 
     Parameters
     ----------
     candidate_columns : tuple of str
-        Columns among which the feature selection chooses.
+        Columns from which the feature selection selects.
     forced_columns : tuple of str
         Columns that are always used.
     """
@@ -86,17 +87,17 @@ class PredictorSet:
 
     @property
     def columns(self) -> list[str]:
-        """All columns, the forced ones first."""
+        """All columns of the predictor set, starting with the forced columns."""
         return [*self.forced_columns, *self.candidate_columns]
 
 
 class SelectWithForced(TransformerMixin, BaseEstimator):
-    """Transformer that selects features and adds forced columns, standardised, without selection.
+    """Transformer that selects features and adds standardised forced columns, which bypass the selection.
 
     Parameters
     ----------
     selection_pipeline : Pipeline or None
-        Unfitted pipeline from `feature_selection.build_feature_pipeline`; None: only forced columns are used.
+        Unfitted pipeline from `feature_selection.build_feature_pipeline`. If None, only forced columns are used.
     forced_columns : sequence of str
         Names of the columns that bypass selection.
     """
@@ -118,7 +119,7 @@ class SelectWithForced(TransformerMixin, BaseEstimator):
         Returns
         -------
         SelectWithForced
-            Fitted transformer; ``kept_`` contains the names of the resulting columns.
+            Fitted transformer; ``kept_`` contains the output column names.
         """
         self.scale_ = StandardScaler().fit(X[list(self.forced_columns)]) if self.forced_columns else None
         if self.selection_pipeline is not None:
@@ -128,7 +129,7 @@ class SelectWithForced(TransformerMixin, BaseEstimator):
         return self
 
     def transform(self, X: pd.DataFrame) -> pd.DataFrame:
-        """Return the forced columns, standardised, and the selected columns.
+        """Return the standardised forced columns and the selected columns.
 
         Parameters
         ----------
@@ -154,7 +155,7 @@ def build_predictor_table(
 ) -> pd.DataFrame:
     """Build the table of all predictors under the reference protocol.
 
-    Measured JSW is true JSW plus a measurement error, which is sampled independently per knee and compartment.
+    Measured JSW is true JSW plus a measurement error, which is sampled independently for each knee and compartment.
 
     Parameters
     ----------
@@ -165,7 +166,7 @@ def build_predictor_table(
     parameters : DataFrame
         Knee parameters, from `extract_knee_parameters`. Predictor sets with missing parameters are omitted.
     settings : StudySettings
-        Settings of the study; reference protocol and seed are used.
+        Study settings; reference protocol and seed are used.
 
     Returns
     -------
@@ -178,7 +179,8 @@ def build_predictor_table(
     if set(_NOMINAL_JSW_COLUMNS) <= set(known):
         true = known[list(_NOMINAL_JSW_COLUMNS)].to_numpy(np.float64)
         rng = np.random.default_rng(np.random.SeedSequence(settings.seed, spawn_key=(_READING,)))
-        # Errors are sampled for all knees in order, so a missing radiograph does not change the errors of other knees.
+        # Errors are sampled for all knees in order, so that a missing radiograph does not change the errors of other
+        # knees.
         places = np.searchsorted(np.sort(parameters["knee"].to_numpy()), known["knee"].to_numpy())
         read = true + JSW_MEASUREMENT_SD_MM * rng.standard_normal((len(parameters), 2))[places]
         for columns_of, values in ((_TRUE, true), (_MEASURED, read)):
@@ -187,7 +189,7 @@ def build_predictor_table(
 
 
 def find_predictor_sets(predictor_table: pd.DataFrame, names: list[str]) -> dict[str, PredictorSet]:
-    """Find the predictor sets whose columns are all in a table.
+    """Find the predictor sets for which a table contains all columns.
 
     Parameters
     ----------
@@ -199,7 +201,7 @@ def find_predictor_sets(predictor_table: pd.DataFrame, names: list[str]) -> dict
     Returns
     -------
     dict of str to PredictorSet
-        Columns of each predictor set, by its name in `PREDICTOR_SETS`.
+        Columns of each predictor set, keyed by its name in `PREDICTOR_SETS`.
     """
     columns = tuple(name for name in PARAMETERS if name in predictor_table)
     textures = tuple(name for name in names if feature_family(name) in TEXTURES)
@@ -231,8 +233,8 @@ def evaluate_predictor_sets(
 ) -> pd.DataFrame:
     """Compute the AUC of every predictor set on every split, trained on fractions of the training subjects.
 
-    With several fractions, the exponent of the power law between computing time and number of training subjects is
-    stored in the timer.
+    With several fractions, the timer stores the exponent of the power law between computing time and number of training
+    subjects.
 
     Parameters
     ----------
@@ -246,9 +248,9 @@ def evaluate_predictor_sets(
         Workers, scheduler, timer and progress bar.
     training_fractions : sequence of float, default (1.0,)
         Fractions of the training and validation subjects of each grade; at least two subjects per grade are used. A
-        smaller fraction is a subset of a larger one. The test subjects are the same for all fractions.
+        smaller training set is a subset of a larger training set. The test subjects are the same for all fractions.
     predictor_set_names : sequence of str
-        Names in `PREDICTOR_SETS`; sets whose columns are missing are omitted.
+        Names from `PREDICTOR_SETS`; sets with missing columns are omitted.
     stage : str
         Name of the stage in the timer.
 
@@ -261,7 +263,7 @@ def evaluate_predictor_sets(
     Raises
     ------
     InputError
-        A grade has too few subjects, or a worker runs another version of the code.
+        A grade has too few subjects, or a worker process has a different code version.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -308,7 +310,7 @@ def evaluate_predictor_sets_split(
     settings : StudySettings
         Settings of models and splits.
     code : mapping of str to str
-        Code hashes in the process that started the run.
+        Code hashes of the process that started the run, keyed by subpackage.
 
     Returns
     -------
@@ -318,7 +320,7 @@ def evaluate_predictor_sets_split(
     Raises
     ------
     InputError
-        The code of this process differs from `code`, or a grade has too few subjects.
+        The code hashes of this process differ from `code`, or a grade has too few subjects.
     """
     require_same_code(code)
     began = process_time()
@@ -362,8 +364,8 @@ def subsample_subjects(split: Split, predictor_table: pd.DataFrame, job: SplitJo
     Returns
     -------
     list of list
-        Training subjects and validation subjects, at least two per grade. A smaller fraction is a subset of a larger
-        one.
+        Training subjects and validation subjects, at least two per grade. A smaller subsample is a subset of a larger
+        subsample.
     """
     if job.training_fraction >= 1:
         return [split.training.tolist(), split.validation.tolist()]
@@ -388,7 +390,7 @@ def _score_predictor_sets(
     seed: int,
     grades: tuple[int, int],
 ) -> Iterator[tuple[str, float]]:
-    """Yield the name and AUC of each predictor set; the AUC is NaN if a class has no test rows."""
+    """Yield the name and the AUC of each predictor set; the AUC is NaN if a class has no test rows."""
     classes = tuple((grade,) for grade in grades)
     truths = [find_class_indices(part["grade"].to_numpy(), classes) for part in (training, validation, test)]
     for name, predictor_set in predictor_sets.items():
@@ -403,20 +405,20 @@ def fit_predictor_set(
     settings: StudySettings,
     seed: int,
 ) -> FittedModel:
-    """Fit a logistic regression to a predictor set, with the first feature selection in the settings.
+    """Fit a logistic regression to a predictor set, with the first feature selection from the settings.
 
     Parameters
     ----------
     predictor_set : PredictorSet
         Columns of the predictor set.
     training : tuple of DataFrame and (rows,) int64 array
-        Training rows and their class index.
+        Training rows, and class index of each row.
     validation : tuple of DataFrame and (rows,) int64 array
-        Validation rows and their class index.
+        Validation rows, and class index of each row.
     settings : StudySettings
-        Settings of the study; the settings of the feature selection are used.
+        Study settings; the feature selection settings are used.
     seed : int
-        Seed of the fit.
+        Seed of the model fit.
 
     Returns
     -------

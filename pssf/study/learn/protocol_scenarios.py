@@ -1,8 +1,8 @@
-"""Training and testing within one protocol, across protocols and on several protocols at once.
+"""Training and testing within one protocol, across protocols and on several protocols.
 
-Multi-protocol training has one radiograph per knee and protocol, so it has more training radiographs than training
-within one protocol. The scenario ``mixed`` separates the effect of this number from the effect of the protocols. It
-has one radiograph per knee, under one of the protocols.
+Multi-protocol training has one radiograph per knee and protocol, and therefore more training radiographs than training
+within one protocol. The scenario ``mixed`` separates the effect of the number of radiographs from the effect of the
+protocols. In this scenario, each knee has one radiograph, under one of the protocols.
 """
 
 from collections.abc import Iterator
@@ -29,7 +29,7 @@ from .models.trivial_baselines import find_baselines
 from .protocol_transfer import find_stable_features, harmonise_features
 from .subject_split import derive_split_seed, split_subjects
 
-# Second key of the random stream, after the index of the split. The modules `incremental_value`, `response_curves` and
+# Second key of the random stream, after the split index. The modules `incremental_value`, `response_curves` and
 # `confounded_training` use other keys.
 _STREAM = 6
 
@@ -47,18 +47,18 @@ class _TaskSplit:
 
 @dataclass(frozen=True)
 class _TrainingPlan:
-    """Features and classifiers to fit under a protocol, and the test sets as (scenario, protocol, radiographs)."""
+    """Features and classifiers to fit under one protocol, and test sets as (scenario, protocol, radiographs)."""
 
     trained_on: str
     selection: str
     names: list[str]
-    models: dict[str, str]  # Label -> classifier.
+    models: dict[str, str]  # Classifier of each model, keyed by model label.
     test_sets: list[tuple[str, str, pd.DataFrame]]
 
 
 @dataclass
 class _CollectedRows:
-    """Rows of the tables in `SplitOutcome`, collected over all trainings of a split."""
+    """Rows of the tables in `SplitOutcome`, collected over all training plans of a split."""
 
     predictions: list[pd.DataFrame] = field(default_factory=list)
     importances: list[dict[str, Any]] = field(default_factory=list)
@@ -68,12 +68,12 @@ class _CollectedRows:
 
 
 def evaluate_split(repeat: int, *, table: pd.DataFrame, names: list[str], settings: StudySettings) -> SplitOutcome:
-    """Train and test all tasks, scenarios, feature selections, classifiers and baselines on one split.
+    """Train and test all tasks, scenarios, feature selections, classifiers and baselines for one split.
 
     Parameters
     ----------
     repeat : int
-        Index of the split, counted from 0.
+        Index of the split, starting at 0.
     table : DataFrame
         One row per radiograph: radiograph, knee, subject, grade, protocol, features, and the columns from
         `trivial_baselines.find_baseline_columns`.
@@ -122,7 +122,7 @@ def evaluate_split(repeat: int, *, table: pd.DataFrame, names: list[str], settin
 def _plan_trainings(
     parts: _TaskSplit, protocols: list[str], names: list[str], stable: list[str], settings: StudySettings
 ) -> Iterator[_TrainingPlan]:
-    """Yield all training plans of one task and split."""
+    """Yield all training plans for one task and split."""
     reference, *others = protocols
     models = {name: name for name in settings.models}
     plain = [("cross", other, _select_protocol(parts.test, other)) for other in others]
@@ -152,7 +152,7 @@ def _run_training_plan(
         for part in (parts.training, parts.validation)
     )
     if set(fit_on[1]) != set(range(len(parts.classes))):
-        return  # No region of a class was located under the training protocol.
+        return  # No region of a class is located under the training protocol.
     prepared = build_feature_pipeline(
         recipe.selection, rho=settings.rho, max_features=settings.most_features, seed=seed
     )
@@ -184,14 +184,14 @@ def _run_training_plan(
 
 
 def _select_protocol(table: pd.DataFrame, protocol: str) -> pd.DataFrame:
-    """Select the radiographs under a protocol; "all" selects all protocols, "mixed" one radiograph per knee."""
+    """Select radiographs by protocol; "all" selects all protocols, and "mixed" selects one radiograph per knee."""
     if protocol == "mixed":
         return table[table["mixed"]]
     return table if protocol == "all" else table[table["protocol"] == protocol]
 
 
 def _assign_one_protocol(table: pd.DataFrame, protocols: list[str], seed: int, repeat: int) -> NDArray[np.bool_]:
-    """Select one radiograph of each knee so that the protocols occur equally often within each grade.
+    """Select one radiograph of each knee so that all protocols are equally frequent within each grade.
 
     Return a boolean mask (radiographs,).
     """
@@ -203,14 +203,14 @@ def _assign_one_protocol(table: pd.DataFrame, protocols: list[str], seed: int, r
 
 
 def _harmonise_test_part(parts: _TaskSplit, names: list[str], protocol: str, reference: str) -> pd.DataFrame:
-    """Harmonise the features of test radiographs under a protocol to the reference protocol."""
+    """Harmonise the features of test radiographs under one protocol with the reference protocol."""
     test = _select_protocol(parts.test, protocol)
     of, onto = (_select_protocol(parts.training, name)[names] for name in (protocol, reference))
     return test.drop(columns=names).join(harmonise_features(test[names], of, onto))
 
 
 def _predict_test_sets(fitted: FittedModel, tested: pd.DataFrame, names: list[str], classes: Classes) -> pd.DataFrame:
-    """Predict the classes of all test sets of a plan, which are stacked in one table."""
+    """Predict the classes in all test sets of a training plan, which are concatenated in one table."""
     features, truth = make_labelled_features(tested, names, classes)
     probability = fitted.pipeline.predict_proba(features) if len(tested) else np.empty((0, len(classes)))
     labels = tested[["radiograph", "knee", "subject", "protocol", "scenario", "tested_on"]].assign(truth=truth)

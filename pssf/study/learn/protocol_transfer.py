@@ -1,7 +1,7 @@
 """Methods for transfer of a model to another protocol: stable features and harmonisation.
 
-Both methods are fitted to the training subjects, without grades, and use their radiographs under the test protocol. The
-methods are therefore transductive in the protocol, but they use no test subject.
+Both methods are fitted to radiographs of the training subjects under the test protocol, without grades. The methods are
+therefore transductive with respect to the protocol, but they use no test subjects.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ from ..statistics.features.reliability import (
 def find_stable_features(training: pd.DataFrame, names: list[str], protocols: list[str]) -> list[str]:
     """Find the features whose ICC(2,1) across the protocols is at least 0.90 in the training subjects.
 
-    The ICC of a feature uses only knees with a value of the feature under every protocol.
+    The ICC uses only knees that have a value of the feature under every protocol.
 
     Parameters
     ----------
@@ -41,16 +41,16 @@ def find_stable_features(training: pd.DataFrame, names: list[str], protocols: li
 
 
 def harmonise_features(features: pd.DataFrame, source: pd.DataFrame, target: pd.DataFrame) -> pd.DataFrame:
-    """Shift and scale features so that their training mean and SD match those under another protocol.
+    """Shift and scale features so that their training mean and SD match the values under another protocol.
 
     Parameters
     ----------
     features : DataFrame
         Features (rows, features) of radiographs under one protocol.
     source : DataFrame
-        Features of the training subjects under the protocol of `features`.
+        Features of the training subjects under the same protocol as `features`.
     target : DataFrame
-        Features of the training subjects under the protocol to match.
+        Features of the training subjects under the target protocol.
 
     Returns
     -------
@@ -59,8 +59,8 @@ def harmonise_features(features: pd.DataFrame, source: pd.DataFrame, target: pd.
 
     Notes
     -----
-    This is ComBat (Johnson 2007) with a reference batch (Stein 2015) and without empirical Bayes. Empirical Bayes
-    shrinks the shifts of features towards each other, which has little effect with a hundred knees per protocol. No
+    The method is ComBat (Johnson 2007) with a reference batch (Stein 2015) and without empirical Bayes. Empirical Bayes
+    shrinks the feature shifts towards each other, which has little effect with a hundred knees per protocol. No
     covariate is needed: every knee is imaged under every protocol, so grade and protocol are orthogonal.
     """
     factor = pd.Series(
@@ -74,5 +74,5 @@ def harmonise_features(features: pd.DataFrame, source: pd.DataFrame, target: pd.
 
 
 def _compute_scale_factor(source: np.ndarray, target: np.ndarray) -> float:
-    """Compute the ratio of SDs; 1 for a constant feature, whose SD is only rounding error."""
+    """Compute the ratio of target SD to source SD; 1 for a constant feature, whose SD is only a rounding error."""
     return 1.0 if is_degenerate(source) or is_degenerate(target) else float(target.std() / source.std())

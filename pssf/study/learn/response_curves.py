@@ -20,11 +20,11 @@ from .models.classifiers import tune_classifier
 from .models.feature_selection import build_feature_pipeline
 from .subject_split import derive_split_seed
 
-# Second key of the random stream, after the index of the split; `incremental_value` uses another key.
+# Second key of the random stream, after the split index; `incremental_value` uses another key.
 _SPLIT_STREAM = 3
-# Fraction of the subjects outside the test set that are used for validation.
+# Fraction of the subjects outside the test set that is used for validation.
 _VALIDATION_FRACTION = 0.15
-# Smallest distance of a probability from 0 and 1, dimensionless; clipping keeps the log odds finite.
+# Minimum distance of a probability from 0 and 1, dimensionless; it keeps the log odds finite.
 _MIN_PROBABILITY = 1e-6
 _COLUMNS = [
     "repeat",
@@ -46,11 +46,11 @@ class ResponseSplit:
     Attributes
     ----------
     training : list
-        Subjects to which models are fitted.
+        Subjects for fitting models.
     validation : list
-        Subjects on which the hyperparameters are chosen.
+        Subjects for selecting hyperparameters.
     test : list
-        Test subjects, all of them with response curves.
+        Test subjects, all of which have response curves.
     """
 
     training: list[Any]
@@ -62,7 +62,7 @@ def split_curve_subjects(base: pd.DataFrame, curve_subjects: list[Any], seed: in
     """Split the subjects for response curves.
 
     Half of the subjects with response curves are test subjects. Of all other subjects, 15 % are used for validation and
-    the rest for training.
+    85 % for training.
 
     Parameters
     ----------
@@ -73,7 +73,7 @@ def split_curve_subjects(base: pd.DataFrame, curve_subjects: list[Any], seed: in
     seed : int
         Seed of the study.
     repeat : int
-        Index of the split, counted from 0.
+        Index of the split, starting at 0.
 
     Returns
     -------
@@ -99,15 +99,16 @@ def evaluate_response_curves(
 ) -> pd.DataFrame:
     """Evaluate a model trained on the reference protocol at every step of every axis, for each split.
 
-    The task is the one that `select_contrast` selects for the grades in `steps`. The model is the first classifier with
+    The function `select_contrast` selects the task for the grades in `steps`. The model is the first classifier with
     the first feature selection in the settings.
 
     Parameters
     ----------
     base : DataFrame
-        Radiographs of the cohort under the reference protocol, with a located region: knee, subject, grade, features.
+        Cohort radiographs under the reference protocol, with a located region: knee, subject, grade, features.
     steps : DataFrame
-        Radiographs along the axes, with a located region: knee, subject, grade, kind (axis), repeat_index, features.
+        Radiographs at the steps of all axes, with a located region: knee, subject, grade, kind (axis), repeat_index,
+        features.
     names : list of str
         Names of the features.
     settings : StudySettings
@@ -120,12 +121,12 @@ def evaluate_response_curves(
     DataFrame
         One row per split and step. Columns: repeat, axis, step_index, training_subjects, curved (number of subjects
         with response curves), `TEST_COUNT_COLUMNS`, auc, auc_own (AUC of the same knees in the cohort) and shift. The
-        shift is the mean change of the log odds of the more severe class from the cohort to the step.
+        shift is the mean change in the log odds of the more severe class, relative to the cohort radiographs.
 
     Raises
     ------
     InputError
-        A worker runs another version of the code.
+        A worker process has a different code version.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -151,24 +152,24 @@ def evaluate_response_split(
     Parameters
     ----------
     repeat : int
-        Index of the split, counted from 0.
+        Index of the split, starting at 0.
     base : DataFrame
         Cohort radiographs, as for `evaluate_response_curves`.
     steps : DataFrame
-        Radiographs along the axes, as for `evaluate_response_curves`.
+        Radiographs at the steps of all axes, as for `evaluate_response_curves`.
     names : list of str
         Names of the features.
     settings : StudySettings
         Settings of models and splits.
     classes : tuple of tuple of int
-        Grades of the two classes.
+        Grades in each of the two classes.
     code : dict of str to str
-        Code hashes in the process that started the run.
+        Code hashes of the process that started the run, keyed by subpackage.
 
     Returns
     -------
     list of dict
-        Rows of the table that `evaluate_response_curves` returns; empty if a class is missing in training.
+        Rows of the table that `evaluate_response_curves` returns; empty if the training set lacks a class.
 
     Raises
     ------
@@ -193,7 +194,7 @@ def evaluate_response_split(
     fitted = tune_classifier(prepared.fit(*fit_on), settings.models[0], fit_on, check_on, seed=seed)
 
     def odds(part: pd.DataFrame) -> pd.Series:
-        """Compute the log odds of the more severe class, indexed by knee."""
+        """Compute the log odds of the more severe class for each knee."""
         p = fitted.pipeline.predict_proba(part[names])[:, 1].astype(np.float64)
         return pd.Series(logit(np.clip(p, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)), index=part["knee"].to_numpy())
 

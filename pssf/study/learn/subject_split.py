@@ -1,4 +1,4 @@
-"""Splits of subjects into training, validation and test set; all radiographs of a subject are in the same set."""
+"""Splits of subjects into training, validation and test sets; all radiographs of a subject are in the same set."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from ...core.checks import InputError
 from ..statistics.scores.subject_resampling import worst_grades
 
 PARTS = ("training", "validation", "test")
-# Fraction of the subjects in the training, validation and test set.
+# Fractions of the subjects in the training, validation and test sets.
 _PART_FRACTIONS = (0.70, 0.15, 0.15)
 
 
@@ -23,11 +23,11 @@ class Split:
     Attributes
     ----------
     training : (subjects,) array
-        Subjects to which models are fitted.
+        Subjects for fitting models.
     validation : (subjects,) array
-        Subjects on which the hyperparameters are chosen.
+        Subjects for selecting hyperparameters.
     test : (subjects,) array
-        Subjects on which models are tested.
+        Subjects for testing models.
     """
 
     training: NDArray[Any]
@@ -54,11 +54,11 @@ def split_subjects(subjects: Sequence[Any], grades: Sequence[int], *, seed: int,
     subjects : sequence
         Subject identifier of each radiograph or knee, as number or text.
     grades : sequence of int
-        Grade of each radiograph or knee; the grade of a subject is the highest grade of its knees.
+        Grade of each radiograph or knee; the grade of a subject is the highest grade of the knees.
     seed : int
         Seed of the study.
     repeat : int, default 0
-        Index of the split, counted from 0. The result does not depend on the total number of splits.
+        Index of the split, starting at 0. The result is independent of the total number of splits.
 
     Returns
     -------
@@ -78,7 +78,7 @@ def split_subjects(subjects: Sequence[Any], grades: Sequence[int], *, seed: int,
         if len(members) < len(PARTS):
             raise InputError(
                 f"grade {grade} must have at least {len(PARTS)} subjects with a located region, got {len(members)}: "
-                "training, validation and test set need one subject each"
+                "each of the three sets needs one subject"
             )
         order = rng.permutation(members)
         for part, chosen in zip(PARTS, np.split(order, _compute_cut_points(len(members))), strict=True):
@@ -88,7 +88,7 @@ def split_subjects(subjects: Sequence[Any], grades: Sequence[int], *, seed: int,
 
 
 def select_splittable_grades(table: pd.DataFrame) -> pd.DataFrame:
-    """Select the rows of subjects whose grade has enough subjects for `split_subjects`.
+    """Select the rows of subjects with a grade that has enough subjects for `split_subjects`.
 
     Parameters
     ----------
@@ -106,19 +106,19 @@ def select_splittable_grades(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def derive_split_seed(seed: int, repeat: int) -> int:
-    """Derive the seed of models and selections on a split; the split itself uses another random stream.
+    """Derive the seed for models and feature selections of a split; the split itself uses another random stream.
 
     Parameters
     ----------
     seed : int
         Seed of the study.
     repeat : int
-        Index of the split, counted from 0.
+        Index of the split, starting at 0.
 
     Returns
     -------
     int
-        Seed of the fits.
+        Seed for models and feature selections.
     """
     return int(np.random.SeedSequence(seed, spawn_key=(repeat, 1)).generate_state(1)[0] >> 1)
 

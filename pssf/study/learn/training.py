@@ -37,7 +37,7 @@ def train_all_splits(
     Raises
     ------
     InputError
-        A grade has too few subjects, or a worker runs another version of the code.
+        A grade has too few subjects, or a worker process has a different code version.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -54,7 +54,7 @@ def train_split(
     Parameters
     ----------
     repeat : int
-        Index of the split, counted from 0.
+        Index of the split, starting at 0.
     table : DataFrame
         Table of radiographs, as for `train_all_splits`.
     names : list of str
@@ -62,7 +62,7 @@ def train_split(
     settings : StudySettings
         Settings of models and splits.
     code : mapping of str to str
-        Code hashes in the process that started the run.
+        Code hashes of the process that started the run, keyed by subpackage.
 
     Returns
     -------
@@ -72,7 +72,7 @@ def train_split(
     Raises
     ------
     InputError
-        The code of this process differs from `code`, or a grade has too few subjects.
+        The code hashes of this process differ from `code`, or a grade has too few subjects.
     """
     require_same_code(code)
     return evaluate_split(repeat, table=table, names=names, settings=settings)

@@ -1,4 +1,4 @@
-"""Measurement of the features of all images in a folder; masks are found by their file names."""
+"""Feature measurement for all images in a folder; mask files are identified by their file names."""
 
 from collections.abc import Collection
 from dataclasses import dataclass
@@ -14,9 +14,9 @@ from ...core.processes.parallel_map import map_in_parallel
 from ...io.image_kind import SUFFIXES, is_image, list_files
 from .own_images import features, read_image, read_masks
 
-# End of the file name of a mask: X_mask.png is the mask of X.png.
+# Ending of a mask file name before the suffix: X_mask.png is the mask of X.png.
 MASK_END = "_mask"
-# Subfolder of masks, as in a cohort: masks/X.png is the mask of X.png.
+# Subfolder that contains the masks of a cohort: masks/X.png is the mask of X.png.
 MASK_FOLDER = "masks"
 # Entry of the column `mask` for an image without a mask.
 WHOLE_IMAGE = "whole image"
@@ -68,15 +68,16 @@ def list_images(folder: Path) -> list[ImageJob]:
         own = [path for path in sorted(masks) if path.stem == f"{image.stem}{MASK_END}"]
         own = own or [path for path in sorted(below) if path.stem == image.stem]
         if len(own) > 1:
-            raise InputError(f"image {image} must have one mask file, got {', '.join(map(str, own))}")
+            raise InputError(f"image {image} has several mask files, {', '.join(map(str, own))}: keep one")
         jobs.append(ImageJob(image=image, masks=own[0] if own else None))
     alone = masks - {job.masks for job in jobs}
     if alone:
         raise InputError(
-            f"mask {min(alone)} must belong to an image {min(alone).stem.removesuffix(MASK_END)}, got none"
+            f"mask {min(alone)} has no image: add an image named {min(alone).stem.removesuffix(MASK_END)} or remove "
+            "the mask"
         )
     if not jobs:
-        raise InputError(f"folder {folder} must contain images ({', '.join(SUFFIXES)}), got none")
+        raise InputError(f"folder {folder} contains no image: add files of the types {', '.join(SUFFIXES)}")
     return jobs
 
 

@@ -1,4 +1,4 @@
-"""Predictions of a saved model for patient radiographs: grade probabilities, features and location of the region."""
+"""Predictions of a saved model for patient radiographs: grade probabilities, features and region location."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -30,11 +30,12 @@ from ...radiomics.radiomics_tables import RadiomicsTables, radiomics_tables
 from ..learn.models.model_file import SavedModel, resolve_backend
 from .patient_test import make_film_job
 
-# Status of a linear radiograph that is not used; localisation needs one knee with known side and pixel pitch.
+# Statuses of linear radiographs that are not used, because localisation needs a single knee of known side and pixel
+# pitch.
 BOTH_KNEES = "both knees"
 NO_SIDE = "side not given"
 NO_PITCH = "pixel_mm not given"
-# Columns of the localisation result, which precede the probabilities and features.
+# Columns of the prediction table that describe the localisation result.
 _REPORTED_COLUMNS = (
     "status",
     "film_side",
@@ -55,10 +56,10 @@ class FilmPredictions:
     Attributes
     ----------
     table : DataFrame
-        One row per patient radiograph: file, subject, grade (as given by the user), warning, `_REPORTED_COLUMNS`,
+        One row per patient radiograph: file, subject, grade (as specified by the user), warning, `_REPORTED_COLUMNS`,
         ``p grade <g>`` of each class, and the features.
     warnings : tuple of str
-        Error message of each unreadable file, then each warning in the table with the file name in front.
+        Error message of each unreadable file, then each warning in the table, prefixed with the file name.
     """
 
     table: pd.DataFrame
@@ -70,10 +71,10 @@ def predict_films(
 ) -> FilmPredictions:
     """Locate the joint, measure the features and predict the grade of each patient radiograph.
 
-    For a radiograph that cannot be used, the status is the reason and the probabilities are NaN. Files of this package
-    and DICOM files state whether their pixels are linear. Any other file is read as displayed pixels, with a warning,
-    unless `linear` is True. If the model was trained on linear pixels, the histogram of displayed pixels is matched to
-    that of the standard knee, with a warning.
+    For a radiograph that cannot be used, the status is the reason and the probabilities are NaN. Files written by this
+    package and DICOM files state whether their pixels are linear. The pixels of any other file are interpreted as
+    displayed pixels, with a warning, unless `linear` is True. If the model was trained on linear pixels, the histogram
+    of displayed pixels is matched to that of the standard knee, with a warning.
 
     Parameters
     ----------
@@ -86,8 +87,8 @@ def predict_films(
     execution : Execution, optional
         Workers, scheduler, timer and progress bar.
     linear : bool, default False
-        If True, the pixels of files from other sources are read as linear in the signal, with air bright. The knee side
-        and pixel pitch of these files must then be known.
+        If True, the pixels of files that this package did not write are interpreted as linear in the signal, with air
+        bright. The knee side and pixel pitch of these files must then be known.
 
     Returns
     -------
@@ -97,8 +98,8 @@ def predict_films(
     Raises
     ------
     InputError
-        There is no patient radiograph, or the templates of the model cannot estimate the pixel pitch of a display. No
-        installed radiomics backend computes the features of the model.
+        There is no patient radiograph, the model lacks the tibial plateau width that is needed to estimate the pixel
+        pitch of displayed pixels, or no installed radiomics backend computes the features of the model.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -141,7 +142,7 @@ def predict_films(
 def _compose_warning(pixel_kind: str, path: Path, record: Mapping[str, Any], is_display: bool, linear: bool) -> str:
     """Compose the warning of one radiograph from all reasons why its result may be wrong.
 
-    Return "" if no joint was located or there is no such reason.
+    Return an empty string if no joint was located or no reason applies.
     """
     if record["status"] != "found":
         return ""
@@ -149,17 +150,18 @@ def _compose_warning(pixel_kind: str, path: Path, record: Mapping[str, Any], is_
     unsaid = is_display and not linear and not has_declared_pixel_meaning(path)
     if unsaid:
         notes.append(
-            "the file does not say whether its pixels are linear, and is read as a display; if they are linear, the "
-            "result is wrong; use --linear for linear pixels"
+            "the file does not state whether its pixels are linear, so they are interpreted as displayed pixels; if "
+            "the pixels are linear, the result is wrong; use --linear for linear pixels"
         )
     if is_display and pixel_kind == "linear":
         notes.append(
-            "a display is read by a model trained on linear pixels; its grey values are matched to the histogram of a "
-            "standard knee; use a model of a study with --films, which is trained on displays"
+            "the pixels are displayed pixels, but the model was trained on linear pixels; the grey values are matched "
+            "to the histogram of a standard knee; use a model of a study with --films, trained on displayed pixels"
         )
     if record.get("film_knees") == "two":
         notes.append(
-            f"the image shows two knees; only the {record['film_side']} knee is read; split the image to read both"
+            f"the image shows two knees; only the {record['film_side']} knee is analysed; split the image to analyse "
+            "both knees"
         )
     return " | ".join(notes)
 
@@ -170,18 +172,18 @@ def draw_film_region(model: SavedModel, row: pd.Series, folder: Path, *, linear:
     Parameters
     ----------
     model : SavedModel
-        Model; its card contains the side length of the region and the grades.
+        Model whose card states the side length of the region and the grades.
     row : Series
         Row of `FilmPredictions.table`.
     folder : Path
         Folder to which the file name is relative.
     linear : bool, default False
-        If True, the pixels are read as linear; see `predict_films`.
+        If True, the pixels are interpreted as linear in the signal; see `predict_films`.
 
     Returns
     -------
     (rows, cols, 3) uint8 array
-        Picture with region and caption.
+        RGB image of the radiograph with the region and a caption.
 
     Raises
     ------
@@ -210,7 +212,7 @@ def _measure_jobs(
     measure: Callable[..., Measurement],
     load: Callable[[str], object],
 ) -> dict[str, dict]:
-    """Measure radiographs with one measurement function and return their records by name."""
+    """Measure radiographs with one measurement function and return their records by radiograph name."""
     records, _ = measure_radiographs(
         jobs,
         load_pixels=load,
@@ -227,11 +229,11 @@ def _measure_jobs(
 def _resolve_linear_job(
     folder: Path, job: MeasurementJob, linear: bool, reads_displays: bool
 ) -> MeasurementJob | str | None:
-    """Decide whether a file is read as linear pixels or as a display.
+    """Decide whether the pixels of a file are interpreted as linear or as displayed pixels.
 
-    Return a job with side and pixel pitch for linear pixels, None for a display, or the reason if the file cannot be
-    used. If `linear` is True, files of other sources have linear pixels. If `reads_displays` is True, linear pixels are
-    rendered for display first.
+    Return a job with side and pixel pitch for linear pixels, None for displayed pixels, or the reason why the file
+    cannot be used. If `linear` is True, files that this package did not write have linear pixels. If `reads_displays`
+    is True, the model was trained on displayed pixels, so linear pixels are rendered for display first.
     """
     try:
         radiograph = _load_radiograph(folder, job.file)
@@ -248,7 +250,7 @@ def _resolve_linear_job(
 
 
 def _resolve_foreign_job(folder: Path, job: MeasurementJob, reads_displays: bool) -> MeasurementJob | str | None:
-    """Decide how to read linear pixels of a file from another source; see `_resolve_linear_job`."""
+    """Decide how to use the linear pixels of a file that this package did not write; see `_resolve_linear_job`."""
     try:
         own = read_linear_pixels(folder / job.file)
     except InputError:
@@ -275,7 +277,7 @@ def _load_linear_pixels(folder: Path, file: str) -> NDArray[np.uint16]:
 
 
 def _load_display(folder: Path, pitch_mm_by_file: Mapping[str, float], file: str) -> FilmImage:
-    """Load a patient radiograph as displayed.
+    """Load the displayed pixels of a patient radiograph.
 
     Linear pixels of files in `pitch_mm_by_file` are rendered for display with the given pixel pitch, in mm.
     """
@@ -287,7 +289,7 @@ def _load_display(folder: Path, pitch_mm_by_file: Mapping[str, float], file: str
 
 
 def _resolve_pitch_mm(folder: Path, job: MeasurementJob) -> float:
-    """Return the pixel pitch of a file with linear pixels from another source, in mm."""
+    """Return the pixel pitch, in mm, of a linear radiograph that this package did not write."""
     pixel_mm = job.pixel_mm or read_linear_pixels(folder / job.file).pixel_mm
     assert pixel_mm is not None  # `_resolve_foreign_job` has rejected files without a pixel pitch.
     return pixel_mm

@@ -24,7 +24,7 @@ from ...radiomics.features.feature_extraction import extract_features
 from ...radiomics.features.feature_families import FAMILIES
 from .. import require_extra
 
-# Smallest mask, in pixels; pyradiomics computes no shape and texture features of a smaller mask.
+# Smallest allowed mask, in pixels; pyradiomics computes no shape or texture features of a smaller mask.
 _MIN_MASK_PX = 4
 # Allowed pixel pitch, in mm.
 _PITCH_RANGE_MM = (0.001, 50.0)
@@ -41,22 +41,23 @@ def features(
 ) -> dict[str, float]:
     """Measure radiomic features of an image inside a mask.
 
-    No joint is located, and grey values are not rescaled. Feature names are those in ``features.csv`` of a study: the
-    names of pyradiomics without ``original_``. First-order features are computed from the grey values
+    No joint is located, and grey values are not rescaled. Feature names are those in ``features.csv`` of a study:
+    pyradiomics names without the prefix ``original_``. First-order features are computed from the grey values
     (``firstorder_linear_Mean``) and from their z-score inside the mask (``firstorder_z_Mean``).
 
     Parameters
     ----------
     image : (rows, cols) integer array, Radiograph, str or Path
-        Grey values, in any unit; a float array must contain whole numbers. A file may be a PNG, JPEG, TIFF or DICOM of
-        8 to 16 bit. The stored values are used, for DICOM after rescale slope and intercept.
-    mask : (rows, cols) array of any unit, str or Path, optional
-        Mask whose nonzero pixels are measured. A file may be an image, or the mask of one bone written by `save_masks`.
-        None measures the whole image; shape features are then those of the image rectangle, as in pyradiomics with a
-        mask of ones.
+        Grey values, in any unit; a float array must contain whole numbers. A path may refer to a PNG, JPEG, TIFF or
+        DICOM file with 8 to 16 bits per pixel. The stored values are used; those of a DICOM file are first converted
+        with its rescale slope and intercept.
+    mask : (rows, cols) dimensionless array, str or Path, optional
+        Mask whose nonzero pixels are measured. A path may refer to an image file, or to a file with the mask of one
+        bone from `save_masks`. None measures the whole image; shape features then describe the image rectangle, as in
+        pyradiomics with a mask of ones.
     pixel_mm : float, optional
-        Pixel pitch, 0.001 to 50 mm. It is required if the image does not contain the pitch. A `Radiograph`, files of
-        this package and most DICOM files contain it.
+        Pixel pitch, 0.001 to 50 mm. The pitch is required if the image does not store it. A `Radiograph`, files written
+        by this package and most DICOM files store the pitch.
     bins : int, default 64
         Number of grey-level bins of the texture features, 8 to 256. The bins have equal width and span the grey values
         inside the mask.
@@ -98,7 +99,7 @@ def features(
     values, known_mm = _read_grey_values(image)
     pitch_mm = known_mm if pixel_mm is None else pixel_mm
     if pitch_mm is None:
-        raise InputError(f"pixel_mm must be the pixel pitch in mm, got {pixel_mm}: this image does not store it")
+        raise InputError(f"pixel_mm must be the pixel pitch in mm, got {pixel_mm}: the image stores no pixel pitch")
     require_in_range("pixel_mm", pitch_mm, *_PITCH_RANGE_MM, "mm")
     inside = np.ones(values.shape, np.bool_) if mask is None else _read_mask(mask, values.shape)
     return extract_features(values, float(pitch_mm), load_ibsi_tags(), bins, tuple(families), backend, inside)
@@ -159,7 +160,7 @@ def read_masks(path: Path) -> dict[str, NDArray[np.bool_]]:
 
 
 def _read_grey_values(image: Any) -> tuple[NDArray[Any], float | None]:
-    """Read whole-number grey values (rows, cols), and the pixel pitch in mm if it is known."""
+    """Read integer grey values (rows, cols), and the pixel pitch in mm or None if the pitch is unknown."""
     known_mm = None
     if isinstance(image, Radiograph):
         image, known_mm = image.pixels, image.protocol.pixel_mm

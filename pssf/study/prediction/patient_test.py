@@ -1,4 +1,4 @@
-"""External test of models on patient radiographs; the models are trained on the displayed cohort.
+"""External test on patient radiographs of models trained on cohort radiographs that are rendered for display.
 
 Simulated pixels are linear in the signal, but a patient radiograph is processed for display with an unknown tone curve.
 The cohort radiographs are therefore rendered for display. Joint localisation and feature measurement are then the same
@@ -49,11 +49,11 @@ from ..statistics.scores.patient_scores import (
     score_grades,
 )
 
-# Largest number of patient radiographs from which pixel pitch and region are estimated.
+# Largest number of patient radiographs from which pixel pitch and region size are estimated (assumed sufficient).
 _MAX_SAMPLED_FILMS = 15
-# Label of the training set in the model names.
+# Label, in model names, of the training set of the models for patient radiographs.
 FILM_MODEL_LABEL = "films"
-# Measurement stage -> stem of the CSV file with its records, from which a later run continues.
+# Measurement stage -> stem of the CSV file in which its records are saved; a resumed run reuses the records.
 _FEATURE_TABLES = {"cohort as displayed": "displays", "patient radiographs": "films_features"}
 _REPORTED_COLUMNS = (
     "status",
@@ -79,11 +79,11 @@ class FilmTestResult:
     counts : DataFrame
         Number of radiographs per grade and status, from `count_films_by_grade`.
     display_settings : DisplayExtractionSettings
-        Pixel pitch and region used for patient radiographs and cohort.
+        Pixel pitch and region size used for the patient radiographs and the cohort.
     protocol : str
         Protocol of the cohort radiographs used for training.
     training_radiographs : tuple of int
-        Number of radiographs used for training, and number of all radiographs under the protocol.
+        Number of radiographs used for training, and total number of cohort radiographs under the protocol.
     models : dict of str to bytes
         Content of each model file, by model name.
     """
@@ -103,7 +103,7 @@ class MeasurementContext:
     Parameters
     ----------
     templates : sequence of Template
-        Radiographs of standard knees, the widest joint space first.
+        Radiographs of standard knees, in order of decreasing joint space width.
     settings : StudySettings
         Settings of the study.
     out : Path
@@ -138,15 +138,15 @@ def check_films(films: FilmSet, manifest: pd.DataFrame, settings: StudySettings,
     Raises
     ------
     InputError
-        The manifest does not contain the protocol, no chosen feature family is independent of the tone curve, or the
+        The manifest does not contain the protocol, no selected feature family is independent of the tone curve, or the
         tibial plateau width of a template is unknown.
     """
     require_plateau_width(templates)
     require_choice("films_protocol", films.protocol, sorted(set(manifest["protocol"])))
     if not set(settings.families) & set(TONE_INVARIANT_FAMILIES):
         raise InputError(
-            f"families must include one or more of {', '.join(TONE_INVARIANT_FAMILIES)} with films, "
-            f"got {', '.join(settings.families)}"
+            f"families must include at least one of {', '.join(TONE_INVARIANT_FAMILIES)} with films, got "
+            f"{', '.join(settings.families)}: other families depend on the tone curve of the display"
         )
 
 
@@ -160,7 +160,7 @@ def evaluate_on_films(bench: MeasurementContext, films: FilmSet, manifest: pd.Da
     films : FilmSet
         Patient radiographs, protocol of the training radiographs, pixel pitch and region side length.
     manifest : DataFrame
-        Manifest of the cohort, as for `study.run`.
+        Manifest of the cohort: one row per radiograph, as for `study.run`.
 
     Returns
     -------
@@ -170,7 +170,7 @@ def evaluate_on_films(bench: MeasurementContext, films: FilmSet, manifest: pd.Da
     Raises
     ------
     InputError
-        The joint is located in too few displayed radiographs of the cohort to train on grades 0 and 2.
+        The joint is located in no displayed cohort radiograph of grade 0 or of grade 2, so no model can be trained.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -220,12 +220,12 @@ def make_film_job(film: Film) -> MeasurementJob:
     Parameters
     ----------
     film : Film
-        Patient radiograph with its side and pixel pitch, if they are given.
+        Patient radiograph, with knee side and pixel pitch if the user specified them.
 
     Returns
     -------
     MeasurementJob
-        Job whose hash depends on the file, the side and the pixel pitch.
+        Job whose hash depends on the file, the knee side and the pixel pitch.
     """
     said = hashlib.sha256(f"{film.sha256} {film.side} {film.pixel_mm}".encode()).hexdigest()
     return MeasurementJob(radiograph=film.file, file=film.file, sha256=said, side=film.side, pixel_mm=film.pixel_mm)
@@ -244,11 +244,11 @@ def _resolve_pitch_and_region_mm(
     least_mm: float,
     largest_mm: float,
 ) -> tuple[float, float]:
-    """Return pixel pitch and region side length in mm, as given or estimated from some patient radiographs.
+    """Return pixel pitch and region side length in mm, as specified or estimated from a sample of radiographs.
 
-    The estimated pitch is the median, rounded to 0.01 mm, but at least `least_mm`, the pitch of the protocol. The
-    estimated side length is the largest whole number of mm for which a region centred on the joint line fits in 90 % of
-    the radiographs, but at most `largest_mm`.
+    The estimated pitch is the median over the sampled patient radiographs, rounded to 0.01 mm, but at least `least_mm`,
+    the pitch of the protocol. The estimated side length is the largest whole number of mm for which a region centred on
+    the joint line fits in 90 % of the radiographs, but at most `largest_mm`.
     """
     if films.pixel_mm is not None and films.region_mm is not None:
         return films.pixel_mm, films.region_mm
@@ -259,7 +259,7 @@ def _resolve_pitch_and_region_mm(
             side, pixel_mm = film.side or image.side, film.pixel_mm or image.pixel_mm
             joint = locate_joint_in_display(image.pixels, templates, localisation, side, pixel_mm)
         except InputError:
-            continue  # The measurement reports unreadable radiographs, so they are skipped here.
+            continue  # Unreadable radiographs are reported when they are measured, so this estimate skips them.
         if joint.status == "found":
             rows, cols = image.pixels.shape[0] * joint.pixel_height, image.pixels.shape[1]
             around = min(joint.square_pixel_row, joint.col, rows - 1 - joint.square_pixel_row, cols - 1 - joint.col)
@@ -280,7 +280,7 @@ def _measure_jobs(
     load: Any,
     stage_name: str,
 ) -> pd.DataFrame:
-    """Measure displayed radiographs, reusing the records in a CSV file, and save all records in the file."""
+    """Measure displayed radiographs, reuse the records in a CSV file, and save all records in the file."""
     path = bench.out / f"{_FEATURE_TABLES[stage_name]}.csv"
     earlier = study_results.load_table(path, TEXT_COLUMNS)
     known: dict[str, Record] = {}
@@ -306,13 +306,13 @@ def _require_grades(usable: pd.DataFrame, protocol: str) -> None:
     grades = sorted({int(grade) for grade in usable["grade"]})
     if not {0, 2} <= set(grades):
         raise InputError(
-            f"grades of the cohort with a located joint, as displayed under {protocol}, must include 0 and 2, "
-            f"got {grades}"
+            f"training needs cohort radiographs of grades 0 and 2 with a located joint; under {protocol}, the joint is "
+            f"located in radiographs of grades {grades} only: add knees or choose another films_protocol"
         )
 
 
 def _join_films(films: Sequence[Film], records: pd.DataFrame) -> pd.DataFrame:
-    """Join file, subject and grade of the patient radiographs with their records."""
+    """Join file, subject and grade of the patient radiographs with their measurement records."""
     said = pd.DataFrame(
         [{"file": f.file, "subject": f.subject, "grade": np.nan if f.grade is None else f.grade} for f in films]
     )
@@ -327,7 +327,7 @@ def _pack_film_model(
     cohort: pd.DataFrame,
     settings: StudySettings,
 ) -> bytes:
-    """Pack a model trained on displayed radiographs as a model file."""
+    """Pack a model trained on displayed radiographs into the bytes of a model file."""
     return pack_model(
         kept,
         templates,
@@ -354,7 +354,7 @@ def list_training_protocols(manifest: pd.DataFrame) -> tuple[TrainingProtocol, .
     Returns
     -------
     tuple of TrainingProtocol
-        Name, pixel pitch and source distances of each protocol.
+        Name, pixel pitch, source-detector distance and source-object distance of each protocol.
     """
     first = manifest.drop_duplicates("protocol")
     lengths = ("pixel_mm", "sdd_mm", "sod_mm")

@@ -30,7 +30,7 @@ class Picture:
 
     @property
     def uri(self) -> str:
-        """PNG file as a data URI."""
+        """Data URI of the PNG file."""
         return "data:image/png;base64," + b64encode(self.png).decode("ascii")
 
 
@@ -47,11 +47,12 @@ class Section:
     sentences : sequence of str
         Paragraphs below the heading.
     table : DataFrame
-        Table of formatted cells with column names as printed; an empty table is not shown.
+        Table of formatted cells, with column headings as printed; an empty table is not shown.
     files : sequence of str
         Names of the files in the study folder that contain the data of the table.
     undecided : str
-        Sentence that says why no conclusion can be drawn from the table, which is then collapsed; otherwise "".
+        Reason why no conclusion can be drawn from the table; the page then collapses the table. "" if a conclusion is
+        possible.
     note : str
         Note below the table.
     pictures : sequence of Picture

@@ -33,9 +33,9 @@ _SHORT_MODEL_NAMES = {"lr": "Logistic", "rf": "Forest", "xgb": "XGBoost"} | BASE
 # Sections before the sections of the analyses: template -> heading.
 _FIRST_SECTIONS = {
     "summary": "Summary",
-    "claims": "Claims of the paper",
+    "claims": "Claims of the published study",
     "panel": "Radiographs",
-    "localisation": "Localisation of the joint line",
+    "localisation": "Joint line localisation",
     "scores": "Classification",
     "films": "Patient radiographs",
     "subgroups": "Subgroups",
@@ -43,11 +43,11 @@ _FIRST_SECTIONS = {
     "differences": "Differences between models and protocols",
     "confusion": "Confusion matrices",
     "calibration": "Calibration",
-    "icc": "Reliability of features",
+    "icc": "Feature reliability",
     "importance": "Feature importance",
 }
 # Sections after the sections of the analyses: template -> heading.
-_LAST_SECTIONS = {"limits": "Limits", "times": "Cost, versions and settings", "glossary": "Glossary"}
+_LAST_SECTIONS = {"limits": "Limitations", "times": "Run time, versions and settings", "glossary": "Glossary"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,9 +61,9 @@ class Findings:
     composition : DataFrame
         Table from `summarise_composition`.
     warnings : list of str
-        Texts from `find_leakage_warnings`.
+        Warnings from `find_leakage_warnings`.
     notes : list of str
-        Texts from `find_leakage_notes`.
+        Notes from `find_leakage_notes`.
     localisation : DataFrame
         Table from `summarise_localisation`.
     morphology : DataFrame
@@ -79,7 +79,8 @@ class Findings:
     calibration : DataFrame
         Table from `compute_calibration`.
     families : DataFrame
-        Importance of each feature family per model, and its drop of AUC in the columns "<model> drop".
+        Importance of each feature family per model, and the drop in AUC after permutation in the columns "<model>
+        drop".
     stable_counts_by_split : list of int
         Number of features that are stable in the training subjects of each split.
     stable_counts : DataFrame
@@ -187,7 +188,7 @@ def render_page(findings: Findings) -> str:
 
 
 def _list_sections(findings: Findings) -> list[dict[str, Any]]:
-    """List the sections of the page in order, with identifier, heading, template and section of an analysis or None."""
+    """List the sections of the page in order: identifier, heading, template, and analysis section (None for others)."""
     left_out = {"films": findings.external is None, "subgroups": findings.subgroups.empty}
     first, last = (
         [
@@ -205,7 +206,7 @@ def _list_sections(findings: Findings) -> list[dict[str, Any]]:
 
 
 def _explain_undecided_tables(findings: Findings) -> dict[str, str]:
-    """Explain for each table why it allows no conclusion; "" if the table allows a conclusion."""
+    """Explain for each table why no conclusion can be drawn from it; "" if a conclusion is possible."""
     patients = {} if findings.external is None else findings.external.tables
     reasons = {
         name: explain_undecided_intervals(patients[name], f"{metric}_low", f"{metric}_high") if name in patients else ""

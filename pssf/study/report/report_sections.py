@@ -19,7 +19,7 @@ from .undecided_tables import explain_undecided_intervals
 
 # Reasons why a table is collapsed.
 _NO_ANSWER = "No question is answered: every corrected p is 0.05 or more, or the test sets have too few subjects."
-_NO_BREAKPOINT = "No breakpoint is decided: there are too few test subjects, or the AUC is at chance level."
+_NO_BREAKPOINT = "No breakpoint can be determined: there are too few test subjects, or the AUC is at chance level."
 
 
 def make_segmentation_section(table: pd.DataFrame) -> list[Section]:
@@ -43,7 +43,7 @@ def make_segmentation_section(table: pd.DataFrame) -> list[Section]:
             "Radiographs": row["radiographs"],
             "Dice": format_fixed(row["dice"]),
             "Dice, 5th percentile": format_fixed(row["dice_p5"]),
-            "Outline distance, mean, mm": format_fixed(row["mean_mm"]),
+            "Mean outline distance, mm": format_fixed(row["mean_mm"]),
             "95th percentile, mm": format_fixed(row["p95_mm"]),
             "Area, segmented / true": format_fixed(row["area"]),
         }
@@ -60,7 +60,7 @@ def make_segmentation_section(table: pd.DataFrame) -> list[Section]:
             ),
             table=pd.DataFrame(shown),
             files=("segmentation.csv",),
-            note="Distances are symmetric distances between the outlines, at the joint plane.",
+            note="Distances are symmetric outline distances, in mm at the joint plane.",
         )
     ]
 
@@ -73,9 +73,9 @@ def make_incremental_value_section(aucs: pd.DataFrame, differences: pd.DataFrame
     aucs : DataFrame
         AUC of each predictor set, as for `incremental_value_figures.draw_incremental_value`.
     differences : DataFrame
-        Paired differences of AUC between predictor sets.
+        Paired AUC differences between predictor sets.
     subjects : int
-        Number of subjects of the cohort.
+        Number of subjects in the cohort.
 
     Returns
     -------
@@ -87,14 +87,14 @@ def make_incremental_value_section(aucs: pd.DataFrame, differences: pd.DataFrame
         png=incremental_value_figures.draw_incremental_value(aucs, differences),
         alt="AUC of grade 0 vs each other grade by predictor set, and paired differences",
         caption="Top: AUC of logistic regression by predictor set, mean over the splits with 95 % interval. Dashed "
-        "line: best possible AUC, a lower bound from all parameters of newly sampled knees. Bottom: paired differences "
-        "of AUC on the same splits.",
+        "line: best possible AUC, a lower bound from all parameters of newly sampled knees. Bottom: paired AUC "
+        "differences on the same splits.",
     )
     shown = [
         {
             "Question": row["question"],
             "Grades": row["grades"],
-            "Difference of AUC": format_signed(row["difference"]),
+            "AUC difference": format_signed(row["difference"]),
             "95 % interval": format_interval(row["low"], row["high"], signs=True),
             "p (Holm)": format_fixed(row["p_holm"], 3),
             "Answer": row["answer"],
@@ -109,15 +109,15 @@ def make_incremental_value_section(aucs: pd.DataFrame, differences: pd.DataFrame
         sentences=(
             "Logistic regression is trained and tested on the same splits with different predictor sets: "
             f"{', '.join(PREDICTOR_SETS.values())}. Measured JSW is true JSW plus a measurement error of "
-            f"{JSW_MEASUREMENT_SD_MM} mm (Mazzuca 1999) in each compartment. JSW is always used and "
-            "only features are selected, so the differences show the incremental value of the features.",
-            "Apart from trabecular texture, an image cannot predict the grade better than all parameters of a knee. "
-            f"The best possible AUC is estimated by a fit to newly sampled knees{best_knees}; it is a lower bound. If "
-            f"the AUC of the true parameters is lower, {subjects} subjects are too few for training.",
+            f"{JSW_MEASUREMENT_SD_MM} mm (Mazzuca 1999) in each compartment. JSW is always a predictor and only "
+            "features are selected, so the differences show the incremental value of the features.",
+            "Apart from trabecular texture, an image cannot predict the grade better than the true parameters of a "
+            f"knee. The best possible AUC is estimated by a fit to newly sampled knees{best_knees}; it is a lower "
+            f"bound. If the AUC of the true parameters is lower, {subjects} subjects are too few for training.",
         ),
         table=pd.DataFrame(shown),
-        note="Yes and no: the corrected p is below 0.05 and there are enough test subjects; no means that the first "
-        "predictor set has a lower AUC.",
+        note="An answer is yes or no if the corrected p is below 0.05 and there are enough test subjects. No means "
+        "that the first predictor set in the question has a lower AUC.",
         files=("incremental_value.csv", "incremental_value_differences.csv"),
         undecided="" if (differences["answer"] != UNDECIDED).any() else _NO_ANSWER,
         pictures=(picture,),
@@ -144,15 +144,15 @@ def make_learning_section(curves: pd.DataFrame, power: pd.DataFrame) -> Section:
         png=incremental_value_figures.draw_learning_curves(curves, power),
         alt="AUC against the number of training subjects, and power against the size of a cohort, by pair of grades",
         caption="Top: AUC against the number of training subjects. The test subjects of a split are always the same, "
-        "so only the training changes. Bottom: power to detect the difference of AUC from measured JSW, against the "
+        "so only the training set changes. Bottom: power to detect the AUC difference from measured JSW, against the "
         "number of subjects in a cohort. Dot: this cohort. Band: interval due to the uncertainty of the variance.",
     )
     shown = [
         {
             "Question": row["question"],
             "Grades": row["grades"],
-            "Subjects of this cohort": row["subjects"],
-            "Power of this cohort": format_fixed(row["power"]),
+            "Subjects in this cohort": row["subjects"],
+            "Power with this cohort": format_fixed(row["power"]),
             f"Subjects for a power of {TARGET_POWER}": format_fixed(row["required_subjects"], 0),
             "95 % interval": format_interval(row["required_subjects_low"], row["required_subjects_high"], 0),
         }
@@ -164,12 +164,13 @@ def make_learning_section(curves: pd.DataFrame, power: pd.DataFrame) -> Section:
         title="Sample size and power",
         sentences=(
             "The learning curves show how the AUC of a classifier depends on the number of training subjects. The "
-            f"power is the probability of detecting a difference of AUC of {difference} at 5 %, two-sided, with the "
-            "paired test of this report. The variance of a difference is assumed to be proportional to 1 / subjects.",
+            f"power is the probability of detecting an AUC difference of {difference} with the two-sided paired test "
+            "of this report at a significance level of 5 %. The variance of a difference is assumed to be "
+            "proportional to 1 / subjects.",
         ),
         table=pd.DataFrame(shown),
-        note="Subjects: training, validation and test subjects of the two grades. The gain of AUC per step and its "
-        "interval are in learning.csv, the standard errors in power.csv.",
+        note="Numbers of subjects include training, validation and test subjects of the two grades. The gain in AUC "
+        "per step and its interval are in learning.csv, and the standard errors are in power.csv.",
         files=("learning.csv", "power.csv"),
         pictures=(picture,),
     )
@@ -198,7 +199,7 @@ def make_response_curves_section(
     knees : int
         Number of knees with response curves.
     task : str
-        Classification task of these knees.
+        Classification task for which the knees with response curves are imaged.
 
     Returns
     -------
@@ -211,11 +212,10 @@ def make_response_curves_section(
             png=response_curve_figures.draw_response_curves(
                 tables[f"curve_{name}"], breaks[breaks["axis"] == name], axis, leading, task
             ),
-            alt=f"Change of features, their ICC, threshold shift and AUC against {axis.label}",
+            alt=f"Feature change, feature ICC, threshold shift and AUC against {axis.label}",
             caption=f"{axis.label[0].upper()}{axis.label[1:]}. From left to right: change of the most important "
-            "features; their ICC(2,1) with the radiographs of the cohort; shift of the log odds, which the decision "
-            "threshold would have to follow; AUC. Orange: breakpoints in the table, with their intervals. Dotted line: "
-            "unchanged protocol.",
+            "features; ICC(2,1) of these features with the unchanged protocol; shift of the decision threshold, in log "
+            "odds; AUC. Orange: breakpoints in the table, with their intervals. Dotted line: unchanged protocol.",
         )
         for name, axis in axes.items()
     ]
@@ -233,11 +233,12 @@ def make_response_curves_section(
         title="Response curves",
         sentences=(
             f"{knees} knees of grade {task} are imaged again while one protocol parameter is changed in steps. The "
-            "noise of each image is independent. The first model and feature selection are trained on the unchanged "
-            "protocol. In every split they are tested on half of the knees, which are not used in training.",
-            "The breakpoint of a conclusion is the first step, counted from the unchanged protocol, at which it fails. "
-            "The interval for a median ICC is computed from bootstrap samples of subjects. The interval for a loss of "
-            "AUC is given by the steps at which the limits of its 95 % interval cross the allowed loss.",
+            "noise of each image is independent. The first model with the first feature selection is trained on the "
+            "unchanged protocol. In every split it is tested on half of the knees, which are not used in training.",
+            "The breakpoint of a conclusion is the first step, counted from the unchanged protocol, at which the "
+            "conclusion fails. For the median ICC, its interval is computed from bootstrap samples of subjects. For "
+            "the loss of AUC, its interval extends between the steps at which the limits of the 95 % interval of the "
+            "loss cross the allowed loss.",
         ),
         table=pd.DataFrame(shown),
         files=("breakpoints.csv", *(f"curve_{name}.csv" for name in axes)),
@@ -253,7 +254,7 @@ def make_sensitivity_section(
     leading: Sequence[str],
     bounds: Mapping[str, tuple[float, float]],
 ) -> Section:
-    """Make the section on the sensitivity of features to parameters of knee and protocol.
+    """Make the section on the sensitivity of features to knee and protocol parameters.
 
     Parameters
     ----------
@@ -264,7 +265,7 @@ def make_sensitivity_section(
     leading : sequence of str
         Most important features of the models.
     bounds : mapping of str to tuple of float
-        Bounds of the parameters.
+        Lower and upper bound of each parameter, in the unit of the parameter.
 
     Returns
     -------
@@ -274,10 +275,10 @@ def make_sensitivity_section(
     picture = Picture(
         name="sensitivity",
         png=response_curve_figures.draw_sensitivity(sobol_indices, sensitivities, leading),
-        alt="Total Sobol indices of parameter groups for the most important features; slopes against correlations",
+        alt="Total Sobol indices of parameter groups for the most important features, and slopes against correlations",
         caption="Left: total Sobol index of each parameter group for the most important features: the fraction of "
         "variance that the group explains alone and in interactions (Sobol 1993). Right: slope with fixed noise "
-        "against correlation, one point per feature and parameter. On the line, slope and correlation are equal.",
+        "against correlation, one point per feature and parameter. On the drawn line, slope and correlation are equal.",
     )
     part = sensitivities[sensitivities["feature"].isin(leading)].dropna(subset="slope")
     strongest = part.assign(size=part["slope"].abs()).sort_values("size", ascending=False, kind="stable")
@@ -298,17 +299,17 @@ def make_sensitivity_section(
         name="sensitivity",
         title="Sensitivity analysis",
         sentences=(
-            f"Sobol indices over parameters of knee and protocol are computed by SALib{samples}, with 95 % intervals. "
-            "A slope is the change of a feature if one parameter of a knee changes by a tenth of its range. All "
+            f"Sobol indices for knee and protocol parameters are computed with SALib{samples}, with 95 % intervals. A "
+            "slope is computed from the feature change if one knee parameter changes by a tenth of its range. All "
             "other parameters and the noise are fixed. A correlation over the cohort also contains associations that "
-            "arise because feature and parameter depend on the grade.",
-            f"Range of the parameters: {spans}.",
+            "arise because both the feature and the parameter depend on the grade.",
+            f"Parameter ranges: {spans}.",
         ),
         table=pd.DataFrame(shown),
         files=("feature_parameter_correlations.csv", "slopes.csv", "sobol_indices.csv"),
         undecided=explain_undecided_intervals(part, "slope_low", "slope_high", bound=0.0),
-        note="The table shows the two strongest slopes of each of the most important features. The files contain all "
-        "slopes and correlations, and the first-order and total Sobol indices.",
+        note="The table shows the two strongest slopes of each of the most important features. The CSV files contain "
+        "all slopes and correlations, and the first-order and total Sobol indices.",
         pictures=(picture,),
     )
 
@@ -350,29 +351,29 @@ def make_confounders_section(table: pd.DataFrame) -> Section:
         title="Confounders by design",
         sentences=(
             "At strength s, a fraction (1 + s)/2 of the training subjects of grade 2 is above the median age or BMI, "
-            "or imaged under the second protocol. The same fraction of grade 0 is below the median, or imaged under "
-            "the reference. The number of subjects does not depend on s. Test subjects are weighted so that the "
-            "association is present or absent. For the adjusted model, the effect of the confounder is "
-            "subtracted from the features; it is fitted to the training subjects within each grade by least squares.",
+            "or is imaged under the second protocol. The same fraction of grade 0 is below the median, or is imaged "
+            "under the reference protocol. The number of subjects does not depend on s. Test subjects are weighted so "
+            "that the association is present or absent. For the adjusted model, the effect of the confounder on each "
+            "feature is fitted within each grade of the training subjects by least squares, and is then subtracted.",
         ),
         table=pd.DataFrame(shown),
         files=("confounders.csv",),
         undecided=explain_undecided_intervals(strongest, "low", "high"),
-        note="The table shows the strongest association; the file contains all strengths and p-values. Age affects an "
-        "image only through thinner trabeculae. Any other gain with age is due to variables associated with age and "
-        "grade in this cohort, or to chance.",
+        note="The table shows the strongest association; confounders.csv contains all strengths and p-values. Age "
+        "affects an image only through thinner trabeculae. Any other gain with age is due to variables associated "
+        "with age and grade in this cohort, or to chance.",
         pictures=(picture,),
     )
 
 
 def _describe_breakpoint(row: Mapping[str, Any]) -> dict[str, str]:
-    """Describe a breakpoint and its interval; outside the measured range, only the exceeded limit is given."""
+    """Describe a breakpoint and its interval; a value outside the measured range is shown as the exceeded limit."""
     low, high = row["range_low"], row["range_high"]
     if row["result"] == UNDECIDED:
         return {"Breakpoint": UNDECIDED, "95 % interval": MISSING}
 
     def place(value: float) -> str:
-        """Format a value; outside the measured range, name the exceeded limit."""
+        """Format a value, or the exceeded limit if the value is outside the measured range."""
         return f"{value:.3g}" if low <= value <= high else f"beyond {low if value < low else high:.3g}"
 
     ends = list(dict.fromkeys(place(end) for end in (row["low"], row["high"])))

@@ -6,7 +6,7 @@ import numpy as np
 
 from ...core.stage_timer import Timer
 
-# Smallest number of completion times to which a growth exponent is fitted.
+# Smallest number of completion times for which a growth exponent is fitted (assumed).
 _MIN_MARKS = 8
 
 

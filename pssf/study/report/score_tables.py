@@ -27,8 +27,8 @@ def arrange_scores(scores: pd.DataFrame) -> dict[str, dict[str, Any]]:
     Returns
     -------
     dict of str to dict
-        Table of each task: ``groups`` (models of each selection, the columns), ``rows`` (one per scenario, with one
-        line per metric) and ``undecided`` (why no conclusion can be drawn from the table, or "").
+        Table of each task: ``groups`` (models of each feature selection, which form the columns), ``rows`` (one per
+        scenario, with one line per metric) and ``undecided`` (why no conclusion can be drawn from the table, or "").
     """
     tables = {}
     for task in TASKS:
@@ -81,7 +81,7 @@ def arrange_differences(differences: pd.DataFrame) -> dict[str, dict[str, Any]]:
             ["comparison", "scenario", "tested_on"], sort=False
         ):
             if comparison == MODEL_MINUS_JSW and scenario == "multi" and tested_on != "all":
-                continue  # The row hardly differs from the row of all protocols; the CSV file contains it.
+                continue  # The row hardly differs from the row of all protocols, so only the CSV file contains the row.
             cells = {(line["model"], line["selection"]): line for line in block.to_dict("records")}
             line = [cells.get((model, selection), {}) for selection, models in groups.items() for model in models]
             rows.append({"comparison": comparison, "scenario": scenario, "tested_on": tested_on, "cells": line})
@@ -100,6 +100,6 @@ def _group_models(table: pd.DataFrame) -> dict[str, list[str]]:
 
 
 def _format_cell(line: dict[str, Any], metric: str) -> tuple[str, str]:
-    """Format mean and interval of a metric; a missing interval is ""."""
+    """Format the mean and the interval of a metric; a missing interval becomes ""."""
     interval = format_interval(line.get(f"{metric}_low"), line.get(f"{metric}_high"))
     return format_fixed(line.get(metric)), "" if interval == MISSING else interval

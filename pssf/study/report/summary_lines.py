@@ -12,13 +12,18 @@ _SCENARIO_PHRASES = {
     "cross": "on another protocol",
     "multi": "trained and tested on all protocols",
 }
-_VERDICT_PHRASES = {"holds": "hold", "does not hold": "do not hold", "not decidable": "are not decidable here"}
+_VERDICT_PHRASES = {
+    "holds": "hold",
+    "does not hold": "do not hold",
+    "not decidable": "are not decidable with this cohort",
+}
 
 
 def summarise_results(scores: pd.DataFrame, claims: pd.DataFrame) -> list[str]:
     """Summarise the range of AUC over all models for the first task, and the verdicts on the claims.
 
-    The range over all models is given because selecting the best model by its test result would be biased.
+    The summary reports the range over all models, because a selection of the best model by its test result would be
+    biased.
 
     Parameters
     ----------
@@ -42,7 +47,7 @@ def summarise_results(scores: pd.DataFrame, claims: pd.DataFrame) -> list[str]:
         lines.append(f"AUC for grade {task}, mean over the splits, {which}: {'; '.join(arms)}.")
     verdicts = claims["verdict"].value_counts()
     counted = [f"{verdicts.get(name, 0)} {what}" for name, what in _VERDICT_PHRASES.items()]
-    return [*lines, f"Of {len(claims)} measurements of the claims of the paper, {', '.join(counted)}."]
+    return [*lines, f"Of {len(claims)} measures of the published claims, {', '.join(counted)}."]
 
 
 def explain_undecided_run(
@@ -55,7 +60,7 @@ def explain_undecided_run(
     claims : DataFrame
         Table from `claims.evaluate_claims`.
     subjects : int
-        Number of subjects of the cohort.
+        Number of subjects in the cohort.
     test_subjects : tuple of int
         Smallest and largest number of test subjects per split.
     rarest_class_subjects : int

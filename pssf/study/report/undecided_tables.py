@@ -114,7 +114,7 @@ def explain_undecided_calibration(calibration: pd.DataFrame) -> str:
     """
     if calibration.empty or calibration["slope"].notna().any():
         return ""
-    return "No calibration slope can be fitted, because a threshold separates the grades in the few predictions."
+    return "No calibration slope can be fitted, because a probability threshold separates the grades perfectly."
 
 
 def explain_undecided_reliability(stable_counts: pd.DataFrame) -> str:
@@ -136,7 +136,7 @@ def explain_undecided_reliability(stable_counts: pd.DataFrame) -> str:
 
 
 def _explain_counts(table: pd.DataFrame) -> str:
-    """Explain that no row has enough test subjects; return "" if a row has enough."""
+    """Explain that no row has enough test subjects; return "" if at least one row has enough."""
     enough = any(has_enough_test_subjects(row) for row in table[TEST_COUNT_COLUMNS].to_dict("records"))
     return "" if enough else _TOO_FEW_SUBJECTS
 

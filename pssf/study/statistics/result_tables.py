@@ -99,8 +99,8 @@ def build_feature_dictionary(usable: pd.DataFrame, names: list[str], tags: IbsiT
     Returns
     -------
     DataFrame
-        Columns: feature, family, ibsi (IBSI tag), departure (from IBSI), degenerate ("yes" or "no"), minimum, median,
-        maximum.
+        Columns: feature, family, ibsi (IBSI tag), departure (deviation from the IBSI definition), degenerate ("yes" or
+        "no"), minimum, median, maximum.
     """
     rows = []
     for name in names:

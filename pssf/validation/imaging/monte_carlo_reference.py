@@ -41,8 +41,8 @@ def compare_monte_carlo_with_reference(workers: int, photons: int = _PHOTONS) ->
     list of dict
         One row per case. ``quantity`` is the ratio of scatter to primary for a slab, and of scatter to open beam for a
         limb. ``error_percent`` is the standard error of the value. ``difference_percent`` is the difference from the
-        reference value, which has an error of 1 to 2 %. ``primary_percent``, for limbs only, is the difference between
-        the primary signal of the reference and the Beer-Lambert law.
+        reference value, which has an error of 1 to 2 %. ``primary_percent``, for limbs only, is the relative difference
+        between the reference primary signal and the Beer-Lambert law.
     """
     known, known_tissues = load_reference_tables().scatter, load_tissues()
     cases = [("slab", case) for case in known.slab] + [("limb", case) for case in known.limb]

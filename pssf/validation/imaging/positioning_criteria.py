@@ -30,9 +30,9 @@ from ..raycasting.raycast_engines import Row
 Mask = NDArray[np.bool_]
 # Length of the fibular head, measured downwards from its tip, in mm.
 _HEAD_MM = 20.0
-# Maximum height of the condyles of the template femur, in mm.
+# Maximum height of the femur points that belong to the condyles, in mm in the frame of the template femur.
 _CONDYLE_MM = 20.0
-# Minimum distance of the condyles of the template femur from the midline, in mm.
+# Minimum distance from the midline of the femur points that belong to a condyle, in mm in the same frame.
 _ASIDE_MM = 8.0
 # Protocols whose criteria are measured.
 _VIEWS = ("ap_standing", "rosenberg", "lateral", "skyline")
@@ -81,7 +81,7 @@ def measure_knee_positioning(knee: Knee) -> dict[str, float]:
     Returns
     -------
     dict of str to float
-        Quantities by name; the suffix of the name gives the unit.
+        Quantities by name; the name suffix states the unit.
     """
     # For a lateral view, a radiographer rotates the leg until the condyles overlap, so the rotation of the knee is 0.
     turned = {"lateral": replace(knee, rotation_deg=0.0)}

@@ -60,9 +60,9 @@ CHECK_CASES_PA: tuple[ScatterCase, ...] = (
     ("knee from behind", 70, 110, 100), ("fixed_flexion", 65, 110, 30), ("fixed_flexion", 70, 130, 60),
     ("fixed_flexion", 75, 120, 90), ("rosenberg", 65, 120, 50), ("lyon_schuss", 60, 130, 40),
 )  # fmt: skip
-# Knees that are positioned by the protocol with the same name.
+# Case objects that are knees positioned by the protocol with the same name.
 _LEANING = ("fixed_flexion", "rosenberg", "lyon_schuss")
-# Objects whose anterior and posterior halves are mirror images.
+# Case objects whose anterior and posterior halves are mirror images.
 SYMMETRIC = ("limb", "slab")
 # Height and width of the joint region at the detector, in mm.
 _JOINT_REGION_MM = (80.0, 60.0)
@@ -196,7 +196,7 @@ def _compare_in_joint_region(case: ScatterCase, monte_carlo: Array, kernel: Arra
 def build_case(case: ScatterCase, known_tissues: Mapping[str, Tissue]) -> tuple[Scene, Protocol]:
     """Build the scene and the protocol of a case, with 256 x 256 pixels of 1.2 mm.
 
-    If a protocol has the name of the object, this protocol is used, otherwise ``reference``.
+    The protocol is the one named after the object if it exists, otherwise ``reference``.
 
     Parameters
     ----------

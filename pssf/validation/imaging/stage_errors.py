@@ -21,9 +21,9 @@ from .stage_times import measure_spectrum_nodes
 
 # Number of timed runs; the fastest is reported.
 _RUNS = 3
-# Number of photons of the Monte Carlo simulation with which the scatter kernel is compared.
+# Number of photons in the Monte Carlo simulation with which the scatter kernel is compared.
 _PHOTONS = 4_000_000
-# Case of the comparison: object, tube voltage in kV, thickness in mm and air gap in mm.
+# Case for the scatter comparison: object, tube voltage in kV, thickness in mm and air gap in mm.
 _SCATTER_CASES: tuple[ScatterCase, ...] = (("knee", 70, 120, 82),)
 
 
@@ -71,7 +71,7 @@ def _measure_stage_seconds(built: BuiltKnee, protocol: Protocol, engine: str, wo
 def _make_error_measures(
     scene: Scene, technique: Technique, workers: int
 ) -> dict[str, tuple[str, Callable[[], float]]]:
-    """Make a dictionary from stage to the description of the error measure and the function that measures the error."""
+    """Map each stage to the description of its error measure and to the function that measures the error."""
     joint = technique.replace_protocol(rows=512, cols=512)
 
     def rays() -> float:

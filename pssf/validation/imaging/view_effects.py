@@ -1,6 +1,6 @@
 """Effects of beam angle and leg rotation on radiographs of simulated knees, compared with published values.
 
-Knees are sampled from the grade table ``population``, grades 0 to 2, with one sampled acquisition each. The mean
+Knees of grades 0 to 2 are sampled from the grade table ``population``, with one sampled acquisition per knee. The mean
 plateau slope in ``grades/population.toml`` was chosen to reproduce the plateau margins of patients in fixed flexion.
 No other parameter is fitted to the reference values.
 """
@@ -29,25 +29,25 @@ from ...model.sampling.acquisition import sample_acquisition
 from ...model.sampling.knee_sampling import sample_knee
 from ..raycasting.raycast_engines import Row
 
-# Largest distance between anterior and posterior plateau margin that is called aligned, in mm (assumed; the abstract of
-# the source gives no limit).
+# Largest distance between anterior and posterior plateau margins that count as aligned, in mm (assumed, because the
+# abstract of the source states no limit).
 ALIGNED_MARGIN_MM = 1.5
 # Caudal beam angle of the acquisition with a fixed beam angle, in degrees.
 _FIXED_BEAM_DEG = 11.0
 # Angle between the horizontal and the tangents that define the anterior and posterior plateau edges, in degrees.
 _TOUCH_DEG = 30.0
-# Minimum height of the points of the medial plateau in the frame of the tibia, in mm.
+# Minimum height of the tibia points that belong to the medial plateau, in mm in the frame of the tibia.
 _ABOVE_MM = -30.0
 # Inner limit of the medial plateau, as a fraction of half the tibial width from the midline.
 _INNER = 0.36
 # Outer limit of the medial plateau, as a fraction of half the tibial width from the midline.
 _OUTER = 0.85
-# The sources do not define all quantities exactly, so alternative definitions are compared with the same reference.
-# Alternative largest distance between aligned plateau margins, in mm.
+# Largest distance between aligned plateau margins in an alternative definition, in mm. The sources do not define all
+# quantities exactly, so alternative definitions are compared with the same reference values.
 _WIDER_MM = 2.5
-# Factor by which the beam-angle error of an acquisition is enlarged in the alternative definition.
+# Factor by which an alternative definition enlarges the beam-angle error of an acquisition.
 _MISSED_BY = 1.6
-# Heights in the frame of the tibia of the two shaft bands that define a projected shaft axis, in mm.
+# Heights of the two shaft bands that define a projected shaft axis, in mm in the frame of the tibia.
 _AXES_MM = (-120.0, -60.0)
 # Half height of a shaft band, in mm.
 _BAND_MM = 6.0
@@ -111,7 +111,7 @@ def _compare_quantity(name: str, reference: ReferenceValue, measured: tuple[floa
 def measure_knee_on_views(numbered_knee: tuple[int, Knee], tables: AnatomyTables, range_deg: Pair) -> dict[str, float]:
     """Measure view-dependent quantities of one knee.
 
-    Distances and changes are absolute values, as in the publications.
+    Distances and changes are absolute values, as in the reference publications.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def measure_knee_on_views(numbered_knee: tuple[int, Knee], tables: AnatomyTables
     Returns
     -------
     dict of str to float
-        Quantities by name; the suffix of the name gives the unit.
+        Quantities by name; the name suffix states the unit.
     """
     number, knee = numbered_knee
     rng = np.random.default_rng([number, 1])

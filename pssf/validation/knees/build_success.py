@@ -1,4 +1,4 @@
-"""Build success of random knees: half are sampled from the grade tables, half from wide ranges of adults."""
+"""Build success of random knees, sampled in equal numbers from the grade tables and from wide adult ranges."""
 
 from collections.abc import Callable
 from time import perf_counter
@@ -51,8 +51,8 @@ _SHAPE_SD = 3.0
 def measure_knee_builds(count: int, workers: int, progress: Callable[[str], None] = lambda line: None) -> list[Row]:
     """Build random knees; report successes, failures, label errors and self-intersecting surfaces.
 
-    ``build`` raises InputError unless solids are valid, shells are nested and bones do not touch. Odd knees are
-    sampled from the grade tables, even knees by :func:`sample_wide_range_knee`.
+    ``build`` raises InputError unless solids are valid, shells are nested and bones do not touch. Knees with odd
+    numbers are sampled from the grade tables, and knees with even numbers by :func:`sample_wide_range_knee`.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def _least_path_mm(scene: Scene, protocol: str) -> float:
 
 
 def sample_wide_range_knee(rng: np.random.Generator, modes: int) -> Knee:
-    """Sample a knee uniformly from wide ranges of adults, with each shape mode at -3 or +3 standard deviations.
+    """Sample a knee uniformly from wide adult ranges, with each shape mode at -3 or +3 standard deviations.
 
     Parameters
     ----------

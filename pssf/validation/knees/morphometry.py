@@ -50,7 +50,7 @@ def compare_sizes_with_literature(count: int, workers: int) -> list[Row]:
             size = getattr(known, sex)
             if size is None:
                 continue
-            # A small sample may contain no knee of a sex, and one knee has no standard deviation.
+            # A small sample may contain no knee of one sex, and a single knee has no standard deviation.
             values = np.array([one[name] for one, knee in zip(sizes, knees, strict=True) if sex in (knee.sex, "both")])
             if len(values) == 0:
                 continue

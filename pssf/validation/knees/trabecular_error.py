@@ -40,8 +40,9 @@ def measure_integration_steps() -> list[Row]:
     -------
     list of dict
         One row per leg rotation (``turned_deg``) and step (``step_mm``). ``seconds`` is the run time of one thread
-        per million segments. ``rms`` and ``most`` are the root mean square and the largest relative error against
-        samples every 0.03 mm. ``texture`` is the RMS error divided by the standard deviation caused by the trabeculae.
+        per million segments. ``rms`` and ``most`` are the root-mean-square and the largest relative error, compared
+        with integrals from samples every 0.03 mm. ``texture`` is the RMS error divided by the standard deviation caused
+        by the trabeculae.
     """
     table = load_trabecular_bone()
     bone = build_healthy_tibia_trabeculae(table, seed=1)
@@ -101,7 +102,7 @@ def _time_trace(scene: Scene, protocol: Protocol, engine: str, per_mm: float) ->
     timed: dict[int, _TimedDensity] = {}
 
     def noted(density: Density | None) -> "_TimedDensity | None":
-        # Surfaces with a common density need a common wrapper, because ray casting compares object identities.
+        # Surfaces with the same density need the same wrapper object, because ray casting compares object identities.
         return None if density is None else timed.setdefault(id(density), _TimedDensity(density, per_mm))
 
     surfaces = [

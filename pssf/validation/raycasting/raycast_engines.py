@@ -132,7 +132,7 @@ def _measure_nested_case(engine: str, triangles: int, side: int, workers: int, r
 
 
 def compute_growth_exponents(engine_results: list[Row]) -> list[Row]:
-    """Compute the exponents of the growth of run time with the number of pixels and of triangles.
+    """Compute growth exponents of the run time with the number of pixels and with the number of triangles.
 
     Parameters
     ----------

@@ -26,7 +26,7 @@ _PROTOCOLS = ("reference", "low_dose", "geometry_shift")
 _REGION_PX = 512
 # Number of grey-level bins.
 _BINS = 64
-# Magnitude below which a feature is a rounding error and is not compared, for example the mean of a z-score.
+# Magnitude below which a feature is not compared because it is a rounding error, such as the mean of a z-score.
 _ROUNDING_ERROR = 1e-9
 
 

@@ -6,8 +6,8 @@ module needs the optional dependencies ``study``.
 Notes
 -----
 For a linear model, AUC and balanced accuracy on infinitely many subjects have a closed form. Mean macro F1 depends on
-the size of the test set, and also has a closed form for the size in a split. The true value is the mean over new
-training sets of the size in a split.
+the test-set size, and also has a closed form for the test-set size of a split. The true value is the mean over newly
+sampled training sets with the training-set size of a split.
 """
 
 from dataclasses import dataclass
@@ -42,7 +42,7 @@ _MEASURES = ("auc", "balanced_accuracy", "macro_f1")
 _FEATURES = 5
 # Number of splits per cohort.
 _SPLITS = 20
-# Feature columns of each model; the model `jsw` has fewer features, as a model of joint space width alone.
+# Feature columns of each model; the model `jsw` has fewer features, like a model that uses only joint space width.
 _MODEL_FEATURES = {"lr": slice(0, _FEATURES), "jsw": slice(0, 2)}
 # Distances between the two grade means, in standard deviations.
 _SEPARATIONS_SD = (0.0, 1.2, 2.0)

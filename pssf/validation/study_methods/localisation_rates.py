@@ -13,13 +13,13 @@ from ...core.processes.parallel_map import map_in_parallel
 from ...core.resample import downsample_by_blocks
 from ...data.analysis.localisation_table import LocalisationSettings, load_localisation_settings
 from ...data.anatomy.shape_table import load_shape_model
-from ...experiment import make_standard_templates
 from ...geometry.scene import Scene
 from ...geometry.view import magnification, resolve_view
 from ...model.knee import Knee
 from ...model.protocol import Protocol, load_protocol
 from ...model.sampling.knee_sampling import sample_knee
 from ...simulation import simulate
+from ...standard_templates import make_standard_templates
 from ..knees.build_success import sample_wide_range_knee
 from ..raycasting.raycast_engines import Row
 
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from ...radiomics.localisation.joint_localisation import JointLocation
     from ...radiomics.localisation.templates import Template
 
-# Protocols of the knees that are sampled as in a study.
+# Protocols for the knees that are sampled as in a study.
 STUDY_PROTOCOLS = ("reference", "low_dose", "geometry_shift")
-# Protocols of every fourth knee, which is sampled from wide ranges of adults.
+# Protocols for every fourth knee, which is sampled from wide adult ranges.
 OTHER_PROTOCOLS = ("long_distance", "caudal_beam", "scatter_grid", "high_kv", "gos_screen", "large_focus")
 # Number of detector pixels per side.
 _SIDE_PX = 512
 # Edge length of the region of interest, in pixels.
 _REGION_PX = 128
-# Surfaces of a scene without bones.
+# Names of the surfaces in a scene without bones.
 _SOFT_TISSUES = ("skin", "adipose", "muscle")
 # Binning of images with unknown pixel pitch, in pixels; patient images with unknown pitch are often reduced crops.
 _BINNING_PX = 2
@@ -49,13 +49,13 @@ class _LocalisationCase(NamedTuple):
     expected_status : str
         Localisation status that is correct for the modified radiograph.
     pitch_factor : float or None
-        Reported pixel pitch divided by the true pitch; None means that neither pitch nor side is given.
+        Reported pixel pitch divided by the true pitch; None means that neither pixel pitch nor knee side is specified.
     has_bones : bool
         False if the scene contains only soft tissue.
     is_upright : bool
         False if the image is upside down.
     is_mirrored : bool
-        True if the opposite knee side (left or right) is given to the localisation.
+        True if the localisation receives the opposite knee side (left instead of right, or right instead of left).
     """
 
     expected_status: str
@@ -89,7 +89,7 @@ def measure_localisation(count: int, workers: int) -> list[Row]:
     Parameters
     ----------
     count : int
-        Number of knees. Three quarters are sampled as in a study, one quarter from wide ranges of adults.
+        Number of knees. Three quarters of the knees are sampled as in a study, and one quarter from wide adult ranges.
     workers : int
         Number of worker processes.
 

@@ -22,7 +22,7 @@ FEATURE_NAMES = [
     *("firstorder_linear_Mean", "firstorder_linear_Energy", "glcm_Contrast", "glcm_JointEntropy"),
     *("glcm_DifferenceAverage", "glcm_Id", "glszm_a", "glszm_b", "glrlm_a", "shape2D_a"),
 ]
-# One claim concerns logistic regression and another claim concerns any other model, so two models are needed.
+# Two models are needed, because one claim concerns logistic regression and another claim concerns any other model.
 SETTINGS = StudySettings(models=("lr", "xgb"), selections=("l1",), repeats=8, replicates=400)
 # Claim that is omitted, because feature stability does not depend on labels and random labels cannot refute it.
 _LABEL_FREE_CLAIM = "A subset of features is stable"

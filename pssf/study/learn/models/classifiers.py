@@ -30,16 +30,16 @@ _GRIDS: dict[str, list[dict[str, Any]]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class FittedModel:
-    """A fitted classifier with its fitted preprocessing.
+    """Fitted classifier with its fitted preprocessing.
 
     Attributes
     ----------
     pipeline : Pipeline
-        Pipeline from all features to class probabilities.
+        Pipeline that predicts class probabilities from all features.
     parameters : dict of str to Any
-        Hyperparameters chosen on the validation subjects.
+        Hyperparameters selected with the validation subjects.
     importance : dict of str to float
-        Importance of each feature; the importances of a model sum to 1. Empty for the chance baseline.
+        Importance of each feature, with sum 1; empty for the chance baseline.
     """
 
     pipeline: Pipeline
@@ -55,21 +55,21 @@ def tune_classifier(
     *,
     seed: int,
 ) -> FittedModel:
-    """Fit a classifier to the training rows and choose its hyperparameters on the validation rows.
+    """Fit a classifier to the training rows, and select its hyperparameters with the validation rows.
 
-    The criterion is the lowest log loss, because with few validation knees the AUC has few distinct values.
+    The criterion is the lowest log loss, because the AUC has few distinct values with few validation knees.
 
     Parameters
     ----------
     prepared : Pipeline
         Pipeline from `build_feature_pipeline`, fitted to the same training rows.
     model : str
-        Classifier from `study_settings.MODELS`, or "chance", which predicts the class frequencies in training.
+        Classifier from `study_settings.MODELS`, or "chance", which predicts the class frequencies of the training rows.
     training : tuple of DataFrame and (rows,) int64 array
         Features and class index of the training rows.
     validation : tuple of DataFrame and (rows,) int64 array
-        Features and class index of the validation rows. Without rows, the first hyperparameters of
-        the grid are used, which have the strongest regularisation.
+        Features and class index of the validation rows. Without validation rows, the first hyperparameters in the grid
+        are used, which have the strongest regularisation.
     seed : int
         Seed of the classifier.
 
@@ -105,7 +105,7 @@ def fit_with_parameters(
     *,
     seed: int,
 ) -> FittedModel:
-    """Fit a classifier with known hyperparameters to all given rows.
+    """Fit a classifier with specified hyperparameters to all rows.
 
     Parameters
     ----------
@@ -114,7 +114,7 @@ def fit_with_parameters(
     model : str
         Classifier from `study_settings.MODELS`, or "chance".
     parameters : dict of str to Any
-        Hyperparameters, as chosen by `tune_classifier`.
+        Hyperparameters, as selected by `tune_classifier`.
     rows : tuple of DataFrame and (rows,) int64 array
         Features and class index of the rows.
     seed : int
@@ -123,7 +123,7 @@ def fit_with_parameters(
     Returns
     -------
     FittedModel
-        Classifier fitted to all given rows.
+        Classifier fitted to all rows.
     """
     X, y = prepared.transform(rows[0]).to_numpy(), rows[1]
     return _assemble_model(
@@ -134,7 +134,7 @@ def fit_with_parameters(
 
 
 def _assemble_model(prepared: Pipeline, model: Any, parameters: dict[str, Any]) -> FittedModel:
-    """Join preprocessing and classifier in one pipeline."""
+    """Combine preprocessing and classifier in one pipeline."""
     importance = _compute_importance(model)
     return FittedModel(
         pipeline=Pipeline([*prepared.steps, ("values", _TableToArray()), ("model", model)]),
@@ -145,7 +145,7 @@ def _assemble_model(prepared: Pipeline, model: Any, parameters: dict[str, Any]) 
 
 def _compute_sample_weights(model: str, y: NDArray[np.int64]) -> Array:
     """Compute the sample weights (rows,); all classes have equal weight, except in the chance baseline."""
-    # The chance baseline predicts the class frequencies; equal class weights would make them all the same.
+    # The chance baseline predicts the class frequencies; equal class weights would make all predictions equal.
     return np.ones(len(y)) if model == "chance" else compute_sample_weight("balanced", y)
 
 
@@ -170,7 +170,7 @@ class _TableToArray(TransformerMixin, BaseEstimator):
 
 
 def _make_classifier(model: str, parameters: dict[str, Any], seed: int) -> Any:
-    """Make an unfitted classifier with the given hyperparameters."""
+    """Make an unfitted classifier with specified hyperparameters."""
     make: dict[str, Callable[[], Any]] = {
         "lr": lambda: LogisticRegression(solver="newton-cholesky", **parameters),
         "rf": lambda: RandomForestClassifier(n_estimators=100, n_jobs=1, random_state=seed, **parameters),
@@ -189,7 +189,7 @@ def _make_classifier(model: str, parameters: dict[str, Any], seed: int) -> Any:
 
 
 def _compute_importance(model: Any) -> Array:
-    """Compute the importance (features,) of each feature as a fraction of the sum.
+    """Compute the importance (features,) of each feature as a fraction of the sum of importances.
 
     The importance is the absolute coefficient of standardised features, the impurity decrease (forest) or the gain
     (boosting).

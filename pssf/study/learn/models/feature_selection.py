@@ -1,4 +1,4 @@
-"""Feature selection: prune redundant features, standardise, select.
+"""Feature selection: prune redundant features, standardise, and select.
 
 All steps are fitted to training radiographs only.
 """
@@ -20,7 +20,7 @@ from ...design.study_settings import SELECTIONS
 from ...predictions import NO_SELECTION
 from ...statistics.features.degenerate_features import is_degenerate
 
-# Inverse regularisation strengths C of the L1 selection, the strongest regularisation first.
+# Inverse regularisation strengths C of the L1 selection, starting with the strongest regularisation.
 _INVERSE_STRENGTHS = (0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 
 
@@ -29,10 +29,10 @@ class DropRedundant(TransformerMixin, BaseEstimator):
 
     Two features are redundant if their absolute Spearman correlation is above `rho`.
 
-    Among redundant features, the feature with the most redundant partners is kept. Ties are decided by the sum of the
-    correlations, then by the name. The result therefore does not depend on the order of the columns. In contrast,
-    feature-engine's DropCorrelatedFeatures keeps the first column. On features of 50 subjects it keeps 34 features,
-    this class keeps 31, and 23 features are kept by both.
+    Among redundant features, the feature that is redundant with the most other features is retained. Ties are broken by
+    the sum of correlations, then by name. The result is therefore independent of the column order. In contrast,
+    DropCorrelatedFeatures of feature-engine retains the first column. For 50 subjects, DropCorrelatedFeatures retains
+    34 features and DropRedundant 31; 23 features are retained by both.
 
     Parameters
     ----------
@@ -44,36 +44,36 @@ class DropRedundant(TransformerMixin, BaseEstimator):
     kept_ : list of str
         Names of the remaining features, in alphabetical order.
     median_ : Series
-        Training median of each remaining feature; it replaces missing values.
+        Training median of each remaining feature, which replaces missing values.
     """
 
     def __init__(self, rho: float = 0.9) -> None:
         self.rho = rho
 
     def fit(self, X: pd.DataFrame, y: Any = None) -> "DropRedundant":
-        """Find the features to keep.
+        """Find the features to retain.
 
         Parameters
         ----------
         X : DataFrame
             Training features (rows, features).
         y : (rows,) array, optional
-            Not used.
+            Class indices, which are not used.
 
         Returns
         -------
         DropRedundant
             Fitted transformer.
         """
-        # DropConstantFeatures would keep features that vary only by rounding errors, such as the mean of a z-score.
+        # DropConstantFeatures would retain features that vary only by rounding errors, such as the mean of a z-score.
         names = [name for name in sorted(X.columns) if not is_degenerate(X[name].to_numpy())]
-        # A model needs at least one column. If all features are constant, it predicts the class frequencies.
+        # A model needs at least one column. If all features are constant, the model predicts the class frequencies.
         self.kept_ = self._select_uncorrelated(X[names]) or [min(X.columns)]
         self.median_ = X[self.kept_].median().fillna(0.0)
         return self
 
     def _select_uncorrelated(self, X: pd.DataFrame) -> list[str]:
-        """Select the names of the features to keep."""
+        """Select the names of the features to retain."""
         if X.shape[1] < 2:
             return list(X.columns)
         # Correlations are rounded so that ties do not depend on the order of summation.
@@ -89,7 +89,7 @@ class DropRedundant(TransformerMixin, BaseEstimator):
         return [X.columns[index] for index in sorted(kept)]
 
     def transform(self, X: pd.DataFrame) -> pd.DataFrame:
-        """Return the kept features and replace missing values by the training median.
+        """Return the retained features, with missing values replaced by the training median.
 
         Parameters
         ----------
@@ -102,7 +102,7 @@ class DropRedundant(TransformerMixin, BaseEstimator):
             Columns listed in ``kept_``.
         """
         # A feature that is defined in all training radiographs may be undefined in a test radiograph.
-        # numpy is used because fillna works column by column and would take a third of the prediction time.
+        # numpy is used, because fillna processes each column separately and would take a third of the prediction time.
         values = X[self.kept_].to_numpy(np.float64)
         filled = np.where(np.isnan(values), self.median_.to_numpy(), values)
         return pd.DataFrame(filled, columns=self.kept_, index=X.index)
@@ -111,13 +111,13 @@ class DropRedundant(TransformerMixin, BaseEstimator):
 class SelectL1(TransformerMixin, BaseEstimator):
     """Transformer that selects features with a nonzero coefficient in L1-regularised logistic regression.
 
-    Regularisation strengths are tried from strong to weak until at least three coefficients are nonzero (fewer, if
-    there are fewer features). At most `max_features` features with the largest coefficients are kept.
+    Regularisation is weakened until at least three coefficients are nonzero, or fewer if there are fewer features. At
+    most `max_features` features with the largest coefficients are selected.
 
     Parameters
     ----------
     max_features : int, default 10
-        Largest number of selected features.
+        Maximum number of selected features.
     random_state : int, default 0
         Seed of the solver.
 
@@ -158,9 +158,9 @@ class SelectL1(TransformerMixin, BaseEstimator):
         return self
 
     def _fit_coefficients(self, X: pd.DataFrame, y: NDArray[np.int64], strength: float) -> NDArray[np.float64]:
-        """Fit one model per class; return the largest absolute coefficient of each feature, as a (features,) array."""
+        """Fit one model per class; return the maximum absolute coefficient of each feature, as a (features,) array."""
         largest = np.zeros(X.shape[1])
-        # One-vs-rest models are fitted because liblinear handles two classes only; saga handles more, ten times slower.
+        # One-vs-rest models are fitted, because liblinear supports only two classes, and saga is ten times slower.
         for grade in np.unique(y)[1 if len(np.unique(y)) == 2 else 0 :]:
             model = LogisticRegression(
                 l1_ratio=1,
@@ -193,7 +193,7 @@ class SelectL1(TransformerMixin, BaseEstimator):
 class SelectMRMR(TransformerMixin, BaseEstimator):
     """Transformer that selects features of maximum relevance and minimum redundancy.
 
-    The criterion is the ratio of F statistic and correlation (FCQ; Zhao 2019).
+    The criterion is the quotient of F statistic and correlation (FCQ; Zhao 2019).
 
     Parameters
     ----------
@@ -249,7 +249,7 @@ class SelectMRMR(TransformerMixin, BaseEstimator):
 
 
 class SelectAll(TransformerMixin, BaseEstimator):
-    """Transformer that keeps every feature; it is used for baselines, which have few columns.
+    """Transformer that selects every feature, for baselines with few columns.
 
     Attributes
     ----------
@@ -265,7 +265,7 @@ class SelectAll(TransformerMixin, BaseEstimator):
         X : DataFrame
             Training features (rows, features).
         y : (rows,) array, optional
-            Not used.
+            Class indices, which are not used.
 
         Returns
         -------
@@ -292,7 +292,7 @@ class SelectAll(TransformerMixin, BaseEstimator):
 
 
 def build_feature_pipeline(selection: str, *, rho: float, max_features: int, seed: int) -> Pipeline:
-    """Build an unfitted pipeline that prunes redundant features, standardises and selects.
+    """Build an unfitted pipeline that prunes redundant features, standardises features, and selects features.
 
     Parameters
     ----------
@@ -301,9 +301,9 @@ def build_feature_pipeline(selection: str, *, rho: float, max_features: int, see
     rho : float
         Absolute Spearman correlation above which two features are redundant.
     max_features : int
-        Largest number of selected features.
+        Maximum number of selected features.
     seed : int
-        Seed of the selection.
+        Seed of the feature selection.
 
     Returns
     -------

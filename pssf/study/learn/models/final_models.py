@@ -16,24 +16,24 @@ from .labelled_features import make_labelled_features
 
 @dataclass(frozen=True, kw_only=True)
 class RefittedModel:
-    """A final model and its training data.
+    """Final model and its training data.
 
     Attributes
     ----------
     name : str
         Name of the model, used as file name.
     task : str
-        Classification task.
+        Name of the classification task.
     grades : tuple of int
         Lowest grade of each class, in order of the classes.
     model : str
-        Classifier.
+        Name of the classifier.
     selection : str
-        Feature selection.
+        Name of the feature selection.
     trained_on : tuple of str
         Protocols of the training radiographs.
     fitted : FittedModel
-        Fitted pipeline, hyperparameters and importance.
+        Fitted pipeline, hyperparameters and feature importances.
     features : tuple of str
         Names of the selected features.
     subjects : int
@@ -59,9 +59,8 @@ def refit_models(
 ) -> Iterator[RefittedModel]:
     """Fit a model to all subjects for every task, feature selection, classifier and set of protocols.
 
-    The hyperparameters are those chosen on the validation subjects of the first split. Feature
-    selection and classifier are then fitted to all subjects. No subject is left for testing, so the performance is
-    estimated on the splits only.
+    The hyperparameters are selected with the validation subjects of the first split. Feature selection and classifier
+    are then fitted to all subjects. No subject remains for testing, so performance is estimated only from the splits.
 
     Parameters
     ----------
@@ -72,12 +71,12 @@ def refit_models(
     settings : StudySettings
         Settings of models and splits.
     trained_on : mapping of str to sequence of str
-        Protocols of each set, by the label of the set.
+        Protocols of each training set, keyed by the label of the set.
 
     Yields
     ------
     RefittedModel
-        Final model of each task, feature selection, classifier and set of protocols.
+        Final model for each task, feature selection, classifier and set of protocols.
 
     Raises
     ------
@@ -93,7 +92,7 @@ def refit_models(
             first = rows[rows["subject"].isin(split.training)]
             fit_on = make_labelled_features(first, names, classes)
             if len(set(fit_on[1])) < len(classes):
-                continue  # No region of a class was located under these protocols.
+                continue  # No region of a class is located under these protocols.
             check_on = make_labelled_features(rows[rows["subject"].isin(split.validation)], names, classes)
             whole = make_labelled_features(rows, names, classes)
             for selection in settings.selections:
@@ -121,5 +120,5 @@ def refit_models(
 
 
 def _task_slug(task: str) -> str:
-    """Convert the name of a task to text for a file name, such as "0v34" for "0 vs 3+4"."""
+    """Convert a task name to text for a file name, such as "0v34" for "0 vs 3+4"."""
     return task.replace(" vs ", "v").replace("/", "").replace("+", "")

@@ -1,4 +1,4 @@
-"""Features and class indices of radiographs, in the form that classifiers need."""
+"""Features and class indices of radiographs, in the format for classifiers."""
 
 import numpy as np
 import pandas as pd
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from ...design.classification_tasks import Classes
 from ...predictions import find_class_indices
 
-# Features (rows, features) and class index (rows,).
+# Features (rows, features) and class indices (rows,).
 LabelledFeatures = tuple[pd.DataFrame, NDArray[np.int64]]
 
 
@@ -17,11 +17,11 @@ def make_labelled_features(table: pd.DataFrame, names: list[str], classes: Class
     Parameters
     ----------
     table : DataFrame
-        Radiographs with grade and features.
+        Radiographs with columns for grade and features.
     names : list of str
         Names of the features.
     classes : tuple of tuple of int
-        Grades of each class.
+        Grades in each class.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""Conversion of fitted models to bytes with skops, without pickle; the same model gives the same bytes."""
+"""Conversion of fitted models to bytes with skops, without pickle; identical models yield identical bytes."""
 
 import io
 import re
@@ -10,18 +10,19 @@ from sklearn.impute import SimpleImputer
 from sklearn.pipeline import Pipeline
 from sklearn.preprocessing import StandardScaler
 
-# Types that may be loaded in addition to those that skops trusts by default.
+# Types that may be loaded in addition to the types that skops trusts by default.
 _TRUSTED_TYPES = ["numpy.dtype", "sklearn.tree._tree.Tree", "xgboost.core.Booster", "xgboost.sklearn.XGBClassifier"]
-# Largest unpacked size of a model file, in bytes.
+# Maximum unpacked size of a model file, in bytes.
 _MAX_BYTES = 2**30
-# Earliest date that a ZIP file can store; a fixed date keeps the bytes reproducible.
+# Earliest date that a ZIP file can store; a fixed date makes the bytes reproducible.
 _ZIP_DATE = (1980, 1, 1, 0, 0, 0)
 
 
 def build_portable_pipeline(fitted: Pipeline) -> Pipeline:
     """Convert a fitted pipeline to scikit-learn steps (impute, scale, model) on the selected features.
 
-    The result can be loaded without this package. Its input is a table with the columns in ``feature_names_in_``.
+    The converted pipeline can be loaded without this package. Its input is a table with the columns in
+    ``feature_names_in_``.
 
     Parameters
     ----------
@@ -31,12 +32,12 @@ def build_portable_pipeline(fitted: Pipeline) -> Pipeline:
     Returns
     -------
     Pipeline
-        Equivalent pipeline on the selected features.
+        Equivalent pipeline for the selected features.
     """
     kept = fitted.named_steps["select"].kept_
     drop, scale = fitted.named_steps["drop"], fitted.named_steps["scale"]
     places = [drop.kept_.index(name) for name in kept]
-    # A fit on one row initialises each step; then the values of the fitted pipeline are copied.
+    # A fit to one row initialises each step; the values of the fitted pipeline are then copied.
     row = pd.DataFrame([drop.median_[kept].to_numpy()], columns=kept)
     impute, scaler = SimpleImputer(strategy="median").fit(row), StandardScaler().fit(row.to_numpy())
     for name in ("mean_", "var_", "scale_"):
@@ -46,7 +47,7 @@ def build_portable_pipeline(fitted: Pipeline) -> Pipeline:
 
 
 def dumps(fitted: Pipeline) -> bytes:
-    """Convert a fitted pipeline to its portable form and then to a skops file.
+    """Convert a fitted pipeline to a portable pipeline and then to a skops file.
 
     Parameters
     ----------
@@ -58,13 +59,13 @@ def dumps(fitted: Pipeline) -> bytes:
     bytes
         Content of the skops file.
     """
-    import skops.io  # Imported here because the import takes one or two seconds and most commands save no model.
+    import skops.io  # The import is deferred, because it takes one or two seconds and most commands save no model.
 
     return _normalise_archive(skops.io.dumps(build_portable_pipeline(fitted)))
 
 
 def loads(content: bytes) -> Any:
-    """Load the pipeline of a skops file.
+    """Load the pipeline from a skops file.
 
     Parameters
     ----------
@@ -74,7 +75,7 @@ def loads(content: bytes) -> Any:
     Returns
     -------
     Pipeline
-        Loaded pipeline. skops raises an error if the file contains types that are not trusted.
+        Loaded pipeline. skops raises an error if the file contains untrusted types.
     """
     import skops.io
 
@@ -82,7 +83,7 @@ def loads(content: bytes) -> Any:
 
 
 def _normalise_archive(content: bytes) -> bytes:
-    """Replace random identifiers in a skops file by consecutive numbers and fix its time stamps.
+    """Replace random identifiers in a skops file with consecutive numbers, and set fixed time stamps.
 
     skops identifies objects by memory addresses and files by random names.
     """
@@ -98,12 +99,12 @@ def _normalise_archive(content: bytes) -> bytes:
 
 
 def zip_files(files: dict[str, bytes]) -> bytes:
-    """Pack files in a ZIP archive in the given order and with a fixed time stamp.
+    """Pack files in a ZIP archive in the specified order, with a fixed time stamp.
 
     Parameters
     ----------
     files : dict of str to bytes
-        Content of each file, by name. skops ignores files that it does not know.
+        Content of each file, keyed by file name. skops ignores unknown files.
 
     Returns
     -------
@@ -128,7 +129,7 @@ def unzip_files(content: bytes) -> dict[str, bytes]:
     Returns
     -------
     dict of str to bytes
-        Content of each file, by name.
+        Content of each file, keyed by file name.
 
     Raises
     ------
@@ -140,5 +141,5 @@ def unzip_files(content: bytes) -> dict[str, bytes]:
     with zipfile.ZipFile(io.BytesIO(content)) as packed:
         size = sum(part.file_size for part in packed.infolist())
         if size > _MAX_BYTES:
-            raise ValueError(f"content must have at most {_MAX_BYTES} bytes, got {size}")
+            raise ValueError(f"unpacked content must have at most {_MAX_BYTES} bytes, got {size}")
         return {name: packed.read(name) for name in packed.namelist()}

@@ -1,7 +1,7 @@
 """Model files: a skops file that also contains a model card and the templates.
 
-Any skops installation can load the pipeline. The card describes the localisation of regions, the
-measurement of features, the classes, the training data, and the versions of code and libraries.
+Any skops installation can load the pipeline. The model card describes the localisation of regions, the measurement of
+features, the classes, the training data, and the versions of code and libraries.
 """
 
 import json
@@ -32,15 +32,15 @@ from .model_bytes import (
     zip_files,
 )
 
-# Suffix of model files.
+# File name suffix of model files.
 MODEL_SUFFIX = ".skops"
-# Format version, as written in the card.
+# Version of the file format, as stored in the model card.
 _FORMAT = "pssf model 1"
-# Name of the card inside the model file.
+# Name of the model card inside the model file.
 _CARD_FILE = "pssf/model.json"
 # Subpackages whose code affects the predicted probabilities.
 _CODE_PACKAGES = ("core", "data", "detector", "io", "radiomics", "study")
-# Python distributions whose versions are written in the card.
+# PyPI packages whose versions are stored in the model card.
 _LIBRARIES = ("pssf", "numpy", "scikit-image", "scikit-learn", "scipy", "skops", XGBOOST)
 
 
@@ -66,7 +66,7 @@ class TrainingProtocol(Record, frozen=True):
 
 
 class TemplateRecord(Record, frozen=True):
-    """A template without its pixels; see `radiomics.localisation.templates.Template`.
+    """Template without its pixels; see `radiomics.localisation.templates.Template`.
 
     Attributes
     ----------
@@ -81,7 +81,7 @@ class TemplateRecord(Record, frozen=True):
     plateau_mm : float or None
         Width of the tibial plateau at the detector, in mm; None if unknown.
     severe : bool
-        True for a template of a knee with severe OA, which is used only if no other template matches clearly.
+        True for a template of a knee with severe OA, which is used only if no other template matches well.
     """
 
     shape: tuple[int, int]
@@ -93,14 +93,14 @@ class TemplateRecord(Record, frozen=True):
 
 
 class SoftwareVersions(Record, frozen=True):
-    """Software with which a model was made.
+    """Software that was used to make a model.
 
     Attributes
     ----------
     versions : dict of str to str
-        Version of each library.
+        Version of each library, keyed by library name.
     code : dict of str to str
-        Hash of each subpackage.
+        Hash of the code in each subpackage, keyed by subpackage.
     """
 
     versions: dict[str, str]
@@ -117,21 +117,21 @@ class ModelCard(Record, frozen=True):
     name : str
         Name of the model.
     reads : str
-        Pixels of the training radiographs: "linear" (in the signal) or "display" (rendered for display).
+        Pixel values of the training radiographs: "linear" (in the signal) or "display" (processed for display).
     task : str
-        Classification task.
+        Name of the classification task.
     grades : tuple of int
         Lowest grade of each class, in order of the classes.
     grade_names : tuple of str
         Name of each class, in the order of `grades`.
     model : str
-        Classifier.
+        Name of the classifier.
     selection : str
-        Feature selection.
+        Name of the feature selection.
     parameters : dict of str to float
         Hyperparameters of the classifier.
     features : tuple of str
-        Names of the features that the model uses, in the order of its columns.
+        Names of the model features, in column order.
     families : tuple of str
         Feature families to measure.
     bins : int
@@ -139,7 +139,7 @@ class ModelCard(Record, frozen=True):
     pixel_mm : float
         Pixel pitch at which regions are measured, in mm.
     region_px : int
-        Side length of the region at the pitch `pixel_mm`, in px.
+        Side length of the region at the pixel pitch `pixel_mm`, in px.
     trained_on : tuple of TrainingProtocol
         Protocols of the training radiographs.
     subjects : int
@@ -149,12 +149,11 @@ class ModelCard(Record, frozen=True):
     seed : int
         Seed of the study.
     templates : tuple of TemplateRecord
-        Templates without their pixels.
+        Templates without pixels.
     made_by : SoftwareVersions
-        Software with which the model was made.
+        Software that was used to make the model.
     backend : str
-        Radiomics backend that measured the features. Older files do not contain this field; their backend was
-        pyradiomics.
+        Radiomics backend that measured the features. Older files have no backend field and used pyradiomics.
     """
 
     format: str
@@ -182,16 +181,16 @@ class ModelCard(Record, frozen=True):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SavedModel:
-    """A model loaded from its file.
+    """Model loaded from a model file.
 
     Attributes
     ----------
     card : ModelCard
         Description of the model.
     pipeline : Pipeline
-        Fitted pipeline from features to class probabilities.
+        Fitted pipeline that predicts class probabilities from features.
     templates : tuple of Template
-        Templates that locate the joint.
+        Templates for joint localisation.
     """
 
     card: ModelCard
@@ -204,12 +203,12 @@ class SavedModel:
         Parameters
         ----------
         features : DataFrame
-            One row per radiograph, with the features listed in the card.
+            One row per radiograph, with the features listed in the model card.
 
         Returns
         -------
         (rows, classes) float64 array
-            Probability of each class in the card.
+            Probability of each class in the model card.
         """
         return np.asarray(self.pipeline.predict_proba(features[list(self.card.features)]), np.float64)
 
@@ -220,12 +219,12 @@ def collect_software_versions(backend: str) -> SoftwareVersions:
     Parameters
     ----------
     backend : str
-        Radiomics backend, whose libraries are included.
+        Radiomics backend; the versions of its libraries are included.
 
     Returns
     -------
     SoftwareVersions
-        Versions and code hashes.
+        Library versions and code hashes.
     """
     libraries = sorted({*_LIBRARIES, *BACKENDS[backend].libraries})
     return SoftwareVersions(
@@ -234,7 +233,7 @@ def collect_software_versions(backend: str) -> SoftwareVersions:
 
 
 def pack_model(kept: RefittedModel, templates: Sequence[Template], **card_entries: Any) -> bytes:
-    """Pack a model, its card and the templates as one file; the same model and code give the same bytes.
+    """Pack a model, its card and the templates as one file; identical models and code yield identical bytes.
 
     Parameters
     ----------
@@ -243,7 +242,7 @@ def pack_model(kept: RefittedModel, templates: Sequence[Template], **card_entrie
     templates : sequence of Template
         Templates cropped by `radiomics.localisation.crop_template`.
     **card_entries : Any
-        Fields of `ModelCard` that `kept` does not determine: reads, grade_names, families, backend, bins, pixel_mm,
+        Fields of `ModelCard` that `kept` does not contain: reads, grade_names, families, backend, bins, pixel_mm,
         region_px, trained_on, seed.
 
     Returns
@@ -267,7 +266,7 @@ def pack_model(kept: RefittedModel, templates: Sequence[Template], **card_entrie
         **card_entries,
     )
     text = json.dumps(msgspec.to_builtins(card), indent=1).encode()
-    with ThreadPoolExecutor() as pool:  # Threads run in parallel because LZMA releases the global interpreter lock.
+    with ThreadPoolExecutor() as pool:  # Threads run in parallel, because LZMA releases the global interpreter lock.
         packed = list(
             pool.map(_compress_pixels, [template.pixels.astype(np.float32).tobytes() for template in templates])
         )
@@ -283,7 +282,7 @@ def unpack_model(content: bytes, name: str) -> SavedModel:
     content : bytes
         Content of the model file.
     name : str
-        Name of the file in error messages.
+        File name in error messages.
 
     Returns
     -------
@@ -293,9 +292,9 @@ def unpack_model(content: bytes, name: str) -> SavedModel:
     Raises
     ------
     InputError
-        The file is damaged, is not a model of this package, or has another format.
+        The file is damaged, is not a pssf model, or has another format version.
     """
-    allowed = f"a model saved by a study of pssf ({MODEL_SUFFIX})"
+    allowed = f"a model saved by pssf study ({MODEL_SUFFIX})"
     try:
         files = unzip_files(content)
         card = msgspec.json.decode(files[_CARD_FILE], type=ModelCard)
@@ -311,17 +310,17 @@ def unpack_model(content: bytes, name: str) -> SavedModel:
         return SavedModel(card=card, pipeline=pipeline, templates=templates)
     except InputError:
         raise
-    except Exception as error:  # For a damaged file, ZIP, LZMA and skops raise errors of many types.
+    except Exception as error:  # A damaged file causes many types of errors in ZIP, LZMA and skops.
         reason = f"{type(error).__name__}: {error}".splitlines()[0][:200]
         raise InputError(
-            f"{name}: content must be {allowed}, got a damaged file or a file of another program ({reason})"
+            f"{name}: content must be {allowed}, got a damaged file or another file type ({reason})"
         ) from None
 
 
 def _require_matching_card(pipeline: Any, card: ModelCard, name: str) -> None:
-    """Raise InputError for a pipeline that does not match its card."""
+    """Raise InputError for a pipeline that does not match its model card."""
     if not isinstance(pipeline, Pipeline):
-        raise InputError(f"{name}: content must be a Pipeline, got {type(pipeline).__name__}")
+        raise InputError(f"{name}: content must be a scikit-learn Pipeline, got {type(pipeline).__name__}")
     classes, features = len(pipeline.classes_), list(getattr(pipeline[0], "feature_names_in_", ()))
     if classes != len(card.grades) or not set(features) <= set(card.features):
         raise InputError(
@@ -330,7 +329,7 @@ def _require_matching_card(pipeline: Any, card: ModelCard, name: str) -> None:
 
 
 def resolve_backend(card: ModelCard) -> str:
-    """Choose the radiomics backend for the features of a model.
+    """Select the radiomics backend for the features of a model.
 
     Parameters
     ----------
@@ -340,18 +339,18 @@ def resolve_backend(card: ModelCard) -> str:
     Returns
     -------
     str
-        Backend in the card if it is installed, otherwise another backend that computes the features.
+        Backend in the model card if it is installed, otherwise another backend that measures all model features.
 
     Raises
     ------
     InputError
-        No installed backend computes the features.
+        No installed backend measures all model features.
     """
     return select_backend(card.backend, card.features, f"model {card.name}")
 
 
 def describe_version_differences(card: ModelCard) -> str:
-    """Describe the differences between the software that made a model and this installation.
+    """Describe the differences between this installation and the software that was used to make a model.
 
     Parameters
     ----------
@@ -361,12 +360,12 @@ def describe_version_differences(card: ModelCard) -> str:
     Returns
     -------
     str
-        Libraries with another version and subpackages with other code; "" if there is no difference.
+        Libraries with different versions and subpackages with different code; "" if there is no difference.
 
     Raises
     ------
     InputError
-        No installed backend computes the features of the model.
+        No installed backend measures all model features.
     """
     here = collect_software_versions(resolve_backend(card))
     was, now = card.made_by.versions, here.versions
@@ -376,11 +375,11 @@ def describe_version_differences(card: ModelCard) -> str:
         if was.get(name) != now.get(name)
     ]
     code = format_differing_parts(card.made_by.code, here.code)
-    return "; ".join([*versions, *([f"other code of pssf ({code})"] if code else [])])
+    return "; ".join([*versions, *([f"different pssf code ({code})"] if code else [])])
 
 
 def _make_template_record(template: Template) -> TemplateRecord:
-    """Make a record of all fields of a template except its pixels."""
+    """Make a record of all template fields except the pixels."""
     rows, cols = template.pixels.shape
     place = {name: float(getattr(template, name)) for name in ("row", "col", "pixel_mm")}
     plateau_mm = None if template.plateau_mm is None else float(template.plateau_mm)
@@ -395,12 +394,12 @@ def _load_template(place: TemplateRecord, packed: bytes) -> Template:
 
 
 def _template_file_name(index: int) -> str:
-    """Return the name of a template inside the model file."""
+    """Return the file name of a template inside the model file."""
     return f"pssf/template_{index}.xz"
 
 
 @lru_cache(maxsize=16)
 def _compress_pixels(pixels: bytes) -> bytes:
     """Compress pixels with LZMA."""
-    # LZMA output is half the size of ZIP (deflate) output.
+    # LZMA output is half the size of deflate (ZIP) output.
     return lzma.compress(pixels)

@@ -10,7 +10,7 @@ from sklearn.pipeline import Pipeline
 
 from ....core.checks import Array
 
-# Number of shuffles per feature.
+# Number of shuffles per feature; the importance is the mean over the shuffles.
 _SHUFFLES = 5
 
 
@@ -20,8 +20,8 @@ def compute_permutation_importance(
     """Compute the mean drop of AUC when a feature is shuffled between the test radiographs (Breiman 2001).
 
     Each feature that the model uses is shuffled five times, with the same permutations as in scikit-learn's
-    `permutation_importance`. All shuffled copies are predicted in one call, because a random forest takes nearly as
-    long for one copy as for all copies.
+    `permutation_importance`. All shuffled copies are predicted in one call, because one copy takes a random forest
+    nearly as long as all copies together.
 
     Parameters
     ----------
@@ -30,19 +30,19 @@ def compute_permutation_importance(
     features : DataFrame
         Features (rows, features) of the test radiographs.
     truth : (rows,) int64 array
-        Class 0 or 1 of each row.
+        True class of each row, 0 or 1.
     seed : int
         Seed of the shuffles.
 
     Returns
     -------
     dict of str to float
-        Drop of AUC for each feature that the model uses; empty if a class is missing.
+        AUC drop for each feature of the model; empty if the test radiographs lack a class.
     """
     if len(set(truth)) < 2:
         return {}
     kept = pipeline[:-1].transform(features)
-    shuffled = np.repeat(kept[None], 1 + kept.shape[1] * _SHUFFLES, axis=0)  # The first copy is not shuffled.
+    shuffled = np.repeat(kept[None], 1 + kept.shape[1] * _SHUFFLES, axis=0)  # Copy 0 is unshuffled.
     for turn, order in enumerate(_make_shuffle_orders(len(kept), seed)):
         for column in range(kept.shape[1]):
             shuffled[1 + column * _SHUFFLES + turn, :, column] = kept[order, column]
@@ -66,7 +66,7 @@ def _make_shuffle_orders(rows: int, seed: int) -> list[NDArray[np.int64]]:
 
 
 def _compute_decision_values(model: Any, table: Array) -> Array:
-    """Compute the decision function or the probability of class 1 for each row of a (rows, features) array."""
+    """Compute the decision function, or else the probability of class 1, for each row of a (rows, features) array."""
     if hasattr(model, "decision_function"):
         return np.asarray(model.decision_function(table))
     return np.asarray(model.predict_proba(table)[:, 1])

@@ -1,6 +1,6 @@
 """Small convolutional network with the joint region as input: a baseline without hand-crafted features.
 
-The network needs PyTorch (``cnn`` extra), which is imported only when a network is trained.
+The network needs PyTorch (``cnn`` extra), which is imported only for training.
 """
 
 import math
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ....core.checks import Array
 from ....core.resample import downsample_by_blocks
 
-# Side length of the network input, in px: a region of 512 px is averaged in blocks of 8 px.
+# Side length of the network input, in px: a region of 512 px is averaged over blocks of 8 px.
 INPUT_SIDE_PX = 64
 # Number of passes over the training images.
 _EPOCHS = 40
@@ -25,17 +25,17 @@ _RATE = 1e-3
 _DECAY = 1e-4
 # Channels of the three convolutional blocks.
 _CHANNELS = (16, 32, 64)
-# Text in tables for a network that was not trained.
+# Text for a network that was not trained, shown in tables.
 PYTORCH_MISSING = "not run: PyTorch is not installed (pip install '.[cnn]')"
 
 
 def is_pytorch_installed() -> bool:
-    """Check whether PyTorch is installed.
+    """Report whether PyTorch is installed.
 
     Returns
     -------
     bool
-        True if a network can be trained.
+        True if PyTorch is installed, so that a network can be trained.
     """
     return find_spec("torch") is not None
 
@@ -69,23 +69,23 @@ def train_network(
 ) -> Any:
     """Train the network with AdamW on the log loss with equal class weights.
 
-    The weights of the epoch with the lowest validation loss are kept. The same seed gives the same network.
+    The weights of the epoch with the lowest validation loss are used. The same seed yields the same network.
 
     Parameters
     ----------
     training : tuple of (rows, size, size) float32 array, dimensionless, and (rows,) int64 array
         Training images from `make_network_input` and their class indices.
     validation : tuple of (rows, size, size) float32 array, dimensionless, and (rows,) int64 array
-        Validation images and their class indices. Without images, the weights of the last epoch are kept.
+        Validation images and their class indices. Without images, the weights of the last epoch are used.
     classes : int
         Number of classes.
     seed : int
-        Seed of the initial weights and of the image order.
+        Seed of the initial weights and the image order.
 
     Returns
     -------
     callable
-        Function from images (rows, size, size) to class probabilities (rows, classes).
+        Function that predicts class probabilities (rows, classes) from images (rows, size, size).
     """
     import torch
 

@@ -1,31 +1,31 @@
 """Baselines that an image model must outperform: chance, age, sex and stature, and JSW alone.
 
-JSW is the nominal value in the definition of the knee, without the measurement error of a reader. JSW is also one of
-the criteria of a grade. The JSW baseline is therefore an upper reference and not a fair comparison.
+JSW is the nominal value of the simulated knee, without the measurement error of a reader. JSW is also one of the
+grading criteria. The JSW baseline is therefore an upper reference and not a fair comparison.
 """
 
 import pandas as pd
 
-# Columns of the manifest that baselines use; a baseline with missing columns is omitted.
+# Manifest columns that the baselines use; a baseline with missing columns is omitted.
 BASELINE_MANIFEST_COLUMNS = ("sex", "age_years", "stature_mm", "nominal_jsw_medial_mm")
-# Predictors of each baseline.
+# Predictor columns of each baseline.
 _BASELINE_PREDICTORS = {"body": ("age_years", "female", "stature_mm"), "jsw": ("nominal_jsw_medial_mm",)}
 
 
 def find_baselines(table: pd.DataFrame, features: list[str]) -> dict[str, tuple[str, list[str]]]:
-    """Find the baselines whose columns are all in a table.
+    """Find the baselines for which a table contains all columns.
 
     Parameters
     ----------
     table : DataFrame
         Radiographs, with the column ``female`` from `knee_parameters.add_sex_indicator`.
     features : list of str
-        Names of the image features. The chance baseline has the first feature as a placeholder and ignores it.
+        Names of the image features. The chance baseline uses the first feature as a placeholder and ignores its values.
 
     Returns
     -------
     dict of str to tuple
-        Classifier and columns of each baseline.
+        Classifier and columns of each baseline, keyed by baseline name.
     """
     baselines = {"chance": ("chance", features[:1])}
     for name, columns in _BASELINE_PREDICTORS.items():
@@ -35,7 +35,7 @@ def find_baselines(table: pd.DataFrame, features: list[str]) -> dict[str, tuple[
 
 
 def find_baseline_columns(table: pd.DataFrame) -> list[str]:
-    """Find the table columns that a baseline model uses as predictors.
+    """Find the table columns that the baselines use as predictors.
 
     Parameters
     ----------
@@ -45,6 +45,6 @@ def find_baseline_columns(table: pd.DataFrame) -> list[str]:
     Returns
     -------
     list of str
-        Names of the columns that baseline models use.
+        Names of all predictor columns of the baselines.
     """
     return [name for columns in _BASELINE_PREDICTORS.values() for name in columns if name in table.columns]

@@ -12,7 +12,7 @@ from ...design.study_settings import MODELS
 from ...statistics.features.reliability import ICC_FORMS, ICC_THRESHOLD
 from .result_figures import MODEL_COLOURS, encode_png, format_protocol
 
-# Feature family -> label.
+# Feature family -> label in figures and tables.
 FAMILY_NAMES = dict(zip(FAMILIES, ("First order", "Shape", "GLCM", "GLRLM", "GLSZM", "NGTDM", "GLDM"), strict=True))
 # Colours of Okabe and Ito 2008, one per family.
 _FAMILY_COLOURS = dict(
@@ -28,11 +28,11 @@ def draw_stability_and_importance(
     Parameters
     ----------
     reliability : DataFrame
-        Tables from `compute_reliability` and `compute_repeatability`, stacked.
+        Concatenated tables from `compute_reliability` and `compute_repeatability`.
     importance : DataFrame
         Columns feature and importance: mean importance over models and splits.
     strongest_parameters : DataFrame
-        Table from `select_strongest_correlations`; its parameters are written next to the bars.
+        Table from `select_strongest_correlations`; its parameters are printed next to the bars.
     max_features : int, default 16
         Number of features in the right panel.
 
@@ -97,12 +97,12 @@ def _draw_leading_features(axis: Any, importance: pd.DataFrame, strongest_parame
 
 
 def draw_icc_heat_map(reliability: pd.DataFrame) -> bytes:
-    """Draw a heat map of the ICC of every feature in two blocks, with features sorted by family.
+    """Draw a heat map of the ICC of every feature, split into two panels, with features sorted by family.
 
     Parameters
     ----------
     reliability : DataFrame
-        Tables from `compute_reliability` and `compute_repeatability`, stacked.
+        Concatenated tables from `compute_reliability` and `compute_repeatability`.
 
     Returns
     -------

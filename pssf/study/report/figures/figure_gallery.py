@@ -20,7 +20,7 @@ from ..report_elements import Picture
 from . import feature_figures, result_figures
 from .result_figures import PanelImage
 
-# Side length, in px, of the blocks averaged in the panel figure; the file is small and the joint is visible.
+# Side length, in px, of the blocks averaged in the panel figure; the size keeps the file small and the joint visible.
 _BLOCK_PX = 4
 
 
@@ -38,7 +38,7 @@ def make_gallery(study: StudyData) -> dict[str, Picture]:
         Figures by name: panel, robustness, confusion, calibration, stability, icc and importance.
     """
     settings, predictions, tables = study.settings, study.predictions, study.tables
-    # Figures show the first feature selection in the settings; choosing the best would be a selection on test results.
+    # Figures show the first feature selection in the settings, because choosing the best would use test results.
     selection = settings.selections[0]
     pictures = {"panel": _make_panel(study.located, study.run.load_pixels, settings)}
     pictures["robustness"] = _make_robustness_picture(predictions, tables["scores"], selection)
@@ -54,14 +54,15 @@ def make_gallery(study: StudyData) -> dict[str, Picture]:
             png=feature_figures.draw_icc_heat_map(tables["reliability"]),
             alt="Heat map of the intraclass correlation of every feature, by form of ICC and set of conditions",
             caption="ICC of every feature. Features are sorted by family (white lines), columns by form of ICC and "
-            "compared conditions. Grey: undefined, because the feature is the same in every radiograph.",
+            "compared conditions. Grey: the ICC is undefined, because the feature has the same value in every "
+            "radiograph.",
         )
     pictures["importance"] = _make_importance_picture(tables["importance"], settings, selection)
     return pictures
 
 
 def _make_panel(located: pd.DataFrame, load_pixels: LoadPixels, settings: StudySettings) -> Picture:
-    """Make the figure of radiographs: the first knee of each grade under every protocol."""
+    """Make the figure of example radiographs: the first knee of each grade under every protocol."""
     protocols = list_protocols(located, settings.reference)
     first = located.drop_duplicates("grade").sort_values("grade")["knee"].tolist()
     rows = []
@@ -78,10 +79,9 @@ def _make_panel(located: pd.DataFrame, load_pixels: LoadPixels, settings: StudyS
         name="panel",
         png=result_figures.draw_panel(rows, [result_figures.format_protocol(name) for name in protocols]),
         alt="Simulated knee radiographs with region and joint line; columns are KL-like grades, rows are protocols",
-        caption="The first knee of each KL-like grade under every protocol, rendered for display with bone bright (as "
-        "figure 3 of the paper). "
-        f"Yellow: region of {settings.region_px} × {settings.region_px} pixels at the located joint line. Orange: the "
-        "joint was not located. Blue cross: true medial joint line.",
+        caption="The first knee of each KL-like grade under every protocol, rendered for display with bone bright "
+        f"(layout as in figure 3 of arXiv 2601.11642). Yellow: region of {settings.region_px} × {settings.region_px} "
+        "pixels at the located joint line. Orange: the joint was not located. Blue cross: true medial joint line.",
     )
 
 
@@ -101,16 +101,16 @@ def _make_panel_image(row: dict[str, Any], pixels: NDArray[np.uint16], region_px
 
 
 def _make_robustness_picture(predictions: pd.DataFrame, scores: pd.DataFrame, selection: str) -> Picture:
-    """Make the figure of ROC curves and AUC per scenario."""
+    """Make the figure of ROC curves and AUCs per scenario."""
     published = {scenario: str(PAPER_RESULTS[scenario]) for scenario in result_figures.SCENARIO_LABELS}
     return Picture(
         name="robustness",
         png=result_figures.draw_robustness(predictions, scores, selection, published),
-        alt="ROC curves and AUC with intervals for grade 0 vs 2, within, across and over protocols, by model",
-        caption=f"Grade 0 vs 2, {SELECTIONS[selection]} selection (as figure 5 of the paper). Top: mean ROC curve over "
-        "the splits; colours are models (as below), line styles are test protocols. "
-        "Bottom: AUC, mean over the splits with 95 % interval. The published AUC of the paper is printed for "
-        "comparison only.",
+        alt="ROC curves and AUC with intervals for grade 0 vs 2, by scenario (within, cross, multi) and model",
+        caption=f"Grade 0 vs 2, {SELECTIONS[selection]} selection (layout as in figure 5 of arXiv 2601.11642). Top: "
+        "mean ROC curve over the splits; colours show models, as in the bottom row, and line styles show test "
+        "protocols. Bottom: mean AUC over the splits with its 95 % interval. The AUC published in arXiv 2601.11642 is "
+        "printed for comparison only.",
     )
 
 
@@ -121,8 +121,8 @@ def _make_calibration_picture(curve: pd.DataFrame, selection: str) -> Picture:
         png=result_figures.draw_calibration_curves(curve, selection),
         alt="Observed fraction of grade 2 against predicted probability in ten bins, for each model",
         caption=f"Grade 0 vs 2 within protocol, {SELECTIONS[selection]} selection: test predictions of all splits in "
-        "ten bins of probability. The area of a point increases with the number of predictions in its bin. The "
-        "diagonal is perfect calibration.",
+        "ten probability bins. The area of a point increases with the number of predictions in its bin. The diagonal "
+        "shows perfect calibration.",
     )
 
 
@@ -136,10 +136,11 @@ def _make_stability_picture(tables: dict[str, pd.DataFrame], settings: StudySett
             tables["reliability"], mean, select_strongest_correlations(tables["feature_parameter_correlations"])
         ),
         alt="Heat map of the ICC of every feature by condition, and bars of the most important features",
-        caption="As figure 6 of the paper. Left: ICC(2,1) of every feature, one row each, sorted by family and by mean "
-        "ICC. Right: the most important features for grade 0 vs 2 (mean importance over the models, "
-        f"{SELECTIONS[selection]} selection), coloured by family. Next to each bar: the true knee parameter with the "
-        "strongest correlation with the feature, and Spearman’s ρ (feature_parameter_correlations.csv).",
+        caption="Layout as in figure 6 of arXiv 2601.11642. Left: ICC(2,1) of every feature, one row per feature, "
+        "sorted by family and by mean ICC. Right: the most important features for grade 0 vs 2 (mean importance over "
+        f"the models, {SELECTIONS[selection]} selection), coloured by family. Next to each bar: the true knee "
+        "parameter that correlates most strongly with the feature, and Spearman’s ρ "
+        "(feature_parameter_correlations.csv).",
     )
 
 
@@ -150,8 +151,8 @@ def _make_confusion_picture(predictions: pd.DataFrame, task: str, selection: str
         png=result_figures.draw_confusion_matrices(predictions, task, selection),
         alt=f"Confusion matrices of grades {task} for each scenario and model",
         caption=f"Grades {task}, {SELECTIONS[selection]} selection; test predictions of all splits pooled. "
-        "Fraction of the true grade, and in brackets the number of predictions (a knee is counted in each split in "
-        "which it is a test knee).",
+        "Each cell shows the fraction of the predictions for knees of the true grade, and in brackets the number of "
+        "predictions. A knee is counted in each split in which it is a test knee.",
     )
 
 
@@ -163,6 +164,6 @@ def _make_importance_picture(features: pd.DataFrame, settings: StudySettings, se
         png=feature_figures.draw_family_bars(families[[model for model in settings.models if model in families]]),
         alt="Bar chart of the importance of each feature family for each model",
         caption=f"Grade 0 vs 2, trained on {settings.reference.replace('_', ' ')}, {SELECTIONS[selection]} "
-        "selection: absolute coefficients of standardised features (logistic regression), decrease of "
-        "impurity (random forest) or gain (XGBoost), each scaled to a sum of 1 and averaged over the splits.",
+        "selection: absolute coefficients of standardised features (logistic regression), impurity "
+        "decrease (random forest) or gain (XGBoost), each scaled to a sum of 1 and averaged over the splits.",
     )

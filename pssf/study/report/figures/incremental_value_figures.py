@@ -21,8 +21,8 @@ PREDICTOR_SET_COLOURS = dict(
 # Pairs of predictor sets whose differences are drawn.
 _DRAWN_COMPARISONS = (("radiomics", "measured"), ("texture", "measured"), ("both", "measured"))
 
-# Text for a pair of grades without a power curve, which `learning_curves.tabulate_power` omits.
-_NO_POWER = "AUC plus the difference\nwould exceed 1,\nor the splits do not differ"
+# Text in place of the power curve for a pair of grades that `learning_curves.tabulate_power` omits.
+_NO_POWER = "no power curve:\nAUC plus the difference\nwould exceed 1, or all splits\nhave the same AUC difference"
 
 
 def draw_incremental_value(aucs: pd.DataFrame, differences: pd.DataFrame) -> bytes:
@@ -31,7 +31,7 @@ def draw_incremental_value(aucs: pd.DataFrame, differences: pd.DataFrame) -> byt
     Parameters
     ----------
     aucs : DataFrame
-        Table from `summarise_predictor_sets`, with the best possible AUC if it was estimated.
+        Table from `summarise_predictor_sets`, including the best possible AUC if it was estimated.
     differences : DataFrame
         Table from `compare_predictor_sets`.
 
@@ -93,7 +93,7 @@ def _draw_differences(axis: Any, rows: pd.DataFrame) -> None:
             value, low, high = of.iloc[0][["difference", "low", "high"]].astype(float)
             axis.plot([low, high], [place, place], color=PREDICTOR_SET_COLOURS[one], linewidth=2)
             axis.plot(value, place, "o", color=PREDICTOR_SET_COLOURS[one], markersize=5)
-    axis.set_xlabel("difference of AUC", fontsize=8.5)
+    axis.set_xlabel("AUC difference", fontsize=8.5)
     axis.tick_params(labelsize=8)
     axis.spines[["top", "right"]].set_visible(False)
 
@@ -158,7 +158,7 @@ def _draw_power(axis: Any, rows: pd.DataFrame) -> None:
     axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
     axis.xaxis.set_major_formatter(ScalarFormatter())
     axis.xaxis.set_minor_formatter(NullFormatter())
-    axis.set_xlabel("subjects of the cohort", fontsize=8.5)
+    axis.set_xlabel("number of subjects in the cohort", fontsize=8.5)
 
 
 def draw_confounders(table: pd.DataFrame) -> bytes:

@@ -18,7 +18,7 @@ def make_film_pictures(external: FilmTestResult, settings: StudySettings) -> dic
     external : FilmTestResult
         Results from `patient_test.evaluate_on_films`.
     settings : StudySettings
-        Settings of the study; the figure shows their first feature selection.
+        Settings of the study; the figure shows the first feature selection in the settings.
 
     Returns
     -------
@@ -34,9 +34,9 @@ def make_film_pictures(external: FilmTestResult, settings: StudySettings) -> dic
         "films": Picture(
             name="films",
             png=_draw_by_grade(graded, columns),
-            alt="Predicted probability of grade 2 of each patient radiograph by its grade, one panel per model",
-            caption="Patient radiographs: predicted probability of KL-like grade 2 by the reader’s grade, "
-            f"{SELECTIONS[selection]} selection. Bar: median.",
+            alt="Predicted probability of grade 2 of each patient radiograph, grouped by KL grade, one panel per model",
+            caption="Patient radiographs: predicted probability of KL-like grade 2, grouped by the KL grade assigned "
+            f"by the reader, {SELECTIONS[selection]} selection. Bar: median.",
         )
     }
 
@@ -53,7 +53,7 @@ def _draw_by_grade(graded: pd.DataFrame, columns: dict[str, str]) -> bytes:
             axis.hlines(values.median(), grade - 0.32, grade + 0.32, color="black", linewidth=1.6)
         axis.set_title(MODELS[model], fontsize=11)
         axis.set_xticks(sorted({int(grade) for grade in graded["grade"]}))
-        axis.set_xlabel("KL grade by the reader")
+        axis.set_xlabel("KL grade assigned by the reader")
         axis.set_ylim(-0.02, 1.02)
     axes[0].set_ylabel("predicted probability of grade 2")
     return encode_png(figure)

@@ -24,11 +24,11 @@ from .result_figures import encode_png
 
 # Colours of Okabe and Ito 2008, one per feature; curves of the median over features and of the model are black.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00")
-# Feature change, in SD, above which the axis is logarithmic for changes of more than 1 SD.
+# Largest feature change, in SD, on a linear axis; a larger change needs an axis that is logarithmic beyond 1 SD.
 _LOG_SCALE_FROM_SD = 3.0
 # Measure of each panel -> label of its vertical axis.
 _PANELS = {
-    SHIFT: "change of feature, SD of knees",
+    SHIFT: "feature change, SD over knees",
     ICC: "ICC(2,1) with the unchanged protocol",
     ODDS: "threshold shift, log odds",
     AUC: "AUC, grade {task}",
@@ -43,9 +43,9 @@ def draw_response_curves(
     Parameters
     ----------
     curves : DataFrame
-        Response curves of the axis.
+        Response curves for the protocol parameter `axis`.
     breaks : DataFrame
-        Breakpoints of the axis, from `find_breakpoints`.
+        Breakpoints for the protocol parameter `axis`, from `find_breakpoints`.
     axis : ProtocolAxis
         Protocol parameter that is varied.
     leading : sequence of str
@@ -69,7 +69,7 @@ def draw_response_curves(
         panel.axvline(axis.reference_step, color="0.75", linewidth=1, linestyle=":")
         _scale_panel(panel, axis)
     _draw_curve(axes[1], curves[curves["measure"] == MEDIAN_ICC], "black", "median of all features")
-    # Features that measure noise may change fifty times as much as others, which needs a logarithmic scale.
+    # Features that measure noise may change fifty times as much as other features, so a logarithmic scale is needed.
     if max(np.abs(axes[0].get_ylim())) > _LOG_SCALE_FROM_SD:
         axes[0].set_yscale("symlog", linthresh=1.0)
         axes[0].yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=1.0, subs=[1, 2, 5]))
@@ -96,7 +96,7 @@ def _draw_curve(panel: Any, rows: pd.DataFrame, colour: str, label: str) -> None
 
 
 def _scale_panel(panel: Any, axis: ProtocolAxis) -> None:
-    """Set scale and ticks of the horizontal axis of a panel."""
+    """Set the scale and the ticks of the horizontal axis of a panel."""
     if axis.scale == "log":
         panel.set_xscale("log")
         panel.minorticks_off()

@@ -1,4 +1,4 @@
-"""Figures of the results, as PNG; they are made without the global state of matplotlib."""
+"""Figures of the results, as PNG, made without the global state of matplotlib."""
 
 from dataclasses import dataclass
 from io import BytesIO
@@ -28,7 +28,7 @@ _AUC_TICKS = (0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0)
 
 @dataclass(frozen=True, kw_only=True)
 class PanelImage:
-    """One radiograph in the figure of all grades and protocols, with located and true joint line.
+    """Radiograph in the figure of all grades and protocols, with located and true joint line.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def _draw_auc_intervals(axis: Any, scores: pd.DataFrame, tests: list[str], publi
             )
             axis.annotate(
                 f"{value:.2f}",
-                (at, high if np.isfinite(high) else value),  # There is no interval for a single split.
+                (at, high if np.isfinite(high) else value),  # A single split has no interval.
                 xytext=(0, 3),
                 textcoords="offset points",
                 ha="center",
@@ -279,7 +279,7 @@ def _draw_confusion_matrix(axis: Any, counts: NDArray[np.int64], grades: tuple[i
 
 
 def _is_drawn(arm: tuple[str, str]) -> bool:
-    """Check whether an arm has a row in the figure of confusion matrices."""
+    """Check whether an arm is drawn in the figure of confusion matrices."""
     scenario, tested_on = arm
     return scenario in ("within", "cross") or (scenario == "multi" and tested_on == "all")
 

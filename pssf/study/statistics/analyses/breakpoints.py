@@ -1,8 +1,8 @@
-"""Breakpoints: the step of a response curve at which a conclusion no longer holds, with an interval.
+"""Breakpoints: the first step of a response curve at which a conclusion fails, with an interval.
 
 The search starts at the step of the unchanged protocol and ends at the first step at which the conclusion fails. For
-the median ICC, the interval is computed from the breakpoints in the bootstrap samples. For a loss of AUC, the interval
-is given by the steps at which the limits of its 95 % interval cross the allowed loss.
+the median ICC, the interval is computed from the breakpoints in the bootstrap samples. For the loss of AUC, the
+interval extends between the steps at which the two limits of the 95 % interval of the loss cross the allowed loss.
 """
 
 from collections.abc import Mapping
@@ -34,7 +34,7 @@ STABILITY_CONCLUSION = f"half of the features have ICC(2,1) of at least {ICC_THR
 def find_breakpoints(
     curves: FeatureCurves, models: pd.DataFrame, axes: Mapping[str, ProtocolAxis], difference: float
 ) -> pd.DataFrame:
-    """Find the breakpoints of two conclusions: features are stable, and a model loses little AUC.
+    """Find the breakpoints of two conclusions: features are stable, and the AUC loss of a model is small.
 
     Parameters
     ----------
@@ -51,9 +51,9 @@ def find_breakpoints(
     -------
     DataFrame
         One row per axis, conclusion and side (below or above the step of the unchanged protocol). Columns: value, low,
-        high (in units of the steps; infinite outside the measured range); range_low, range_high (measured range);
-        knees; result (in words). The number of knees is 0 if the AUC under the unchanged protocol is not above chance
-        or a class has too few test subjects.
+        high (breakpoint and its interval in the unit of the protocol parameter; infinite outside the measured range);
+        range_low, range_high (measured range); knees; result (description of the breakpoint). The number of knees is 0
+        if the AUC under the unchanged protocol is not above chance or a class has too few test subjects.
     """
     rows = []
     for name, axis in axes.items():
@@ -84,7 +84,7 @@ def find_breakpoints(
 
 
 def _order_steps(axis: ProtocolAxis) -> dict[str, list[int]]:
-    """List step numbers from the unchanged protocol downwards ("below") and upwards ("above"), if there are any."""
+    """List step numbers from the unchanged protocol downwards ("below") and upwards ("above"); omit an empty list."""
     order = sorted(range(1, len(axis.steps) + 1), key=lambda index: axis.steps[index - 1])
     own = order.index(axis.steps.index(axis.reference_step) + 1)
     ways = {"below": order[own::-1], "above": order[own:]}
@@ -111,7 +111,7 @@ def _describe_breakpoint(row: Mapping[str, Any]) -> str:
     least, most = row["range_low"], row["range_high"]
 
     def place(value: float) -> str:
-        """Format a value; outside the measured range, name the exceeded end of the range."""
+        """Format a value, or the exceeded limit if the value is outside the measured range."""
         if least <= value <= most:
             return f"{value:.3g}"
         return f"beyond {least if value < least else most:.3g}"
@@ -119,4 +119,4 @@ def _describe_breakpoint(row: Mapping[str, Any]) -> str:
     interval = f"{place(row['low'])} to {place(row['high'])}"
     if least <= row["value"] <= most:
         return f"{row['side']} {place(row['value'])} ({interval})"
-    return f"holds to {least if row['value'] < least else most:.3g} (breaks at {interval})"
+    return f"holds to {least if row['value'] < least else most:.3g} (breakpoint interval: {interval})"

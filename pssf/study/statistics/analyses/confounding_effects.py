@@ -1,4 +1,4 @@
-"""Effects of a confounder: gain and cost of a naive model, and recovery by adjustment."""
+"""Effects of a confounder: AUC gain and cost of a naive model, and AUC recovery by adjustment."""
 
 from typing import Any
 
@@ -16,7 +16,8 @@ UNTIED = "naive model, balanced test set"
 ADJUSTED = "adjusted model, balanced test set"
 # Measure: AUC of the naive model on the confounded test set minus its AUC on the balanced test set.
 GAIN = "gain: confounded minus balanced test set"
-# Measure: AUC of training at strength 0 minus AUC of training at this strength, both on the balanced test set.
+# Measure: AUC of the naive model trained at strength 0 minus its AUC trained at the strength of the row, both on the
+# balanced test set.
 COST = "cost: strength 0 minus this strength, balanced test set"
 # Measure: AUC of the adjusted model minus AUC of the naive model, both on the balanced test set.
 BACK = "recovery: adjusted minus naive model, balanced test set"
@@ -37,8 +38,8 @@ def estimate_confounding(splits: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row per confounder, strength and measure, with the columns `COLUMNS`. p tests that a difference is 0 and is
-        not corrected for multiple tests.
+        One row per confounder, strength and measure, with the columns `COLUMNS`. p is the p-value of the hypothesis
+        that a difference is 0, without correction for multiple tests; NaN for an AUC.
     """
     rows: list[dict[str, Any]] = []
     for confounder, of_one in splits.groupby("confounder", sort=False):

@@ -9,7 +9,7 @@ from ..scores.claims import UNDECIDED
 from ..scores.confidence_intervals import apply_holm_within, estimate_mean, estimate_proportion
 from ..scores.tested_subjects import TEST_COUNT_COLUMNS, has_enough_test_subjects
 
-# Name of the estimated upper limit of AUC in the table of predictor sets.
+# Name of the estimated upper limit of the AUC in the table of predictor sets.
 BEST_POSSIBLE = "best possible"
 # Question -> two predictor sets; the AUC of the first minus the AUC of the second answers the question.
 QUESTIONS = {
@@ -85,14 +85,14 @@ def average_test_train_ratio(part: pd.DataFrame) -> float:
 
 
 def pair_auc_differences(splits: pd.DataFrame, predictor_set: str, reference_set: str) -> pd.DataFrame:
-    """Compute the differences of AUC between two predictor sets on the same splits.
+    """Compute the AUC differences between two predictor sets on the same splits.
 
     Parameters
     ----------
     splits : DataFrame
         Rows of `learn.incremental_value.evaluate_predictor_sets` for one pair of grades and one training fraction.
     predictor_set : str
-        Predictor set from whose AUC the AUC of `reference_set` is subtracted.
+        Predictor set whose AUC is compared: the AUC of `reference_set` is subtracted from it.
     reference_set : str
         Predictor set whose AUC is subtracted.
 
@@ -109,7 +109,7 @@ def pair_auc_differences(splits: pd.DataFrame, predictor_set: str, reference_set
 
 
 def compare_predictor_sets(splits: pd.DataFrame) -> pd.DataFrame:
-    """Answer each question in `QUESTIONS` for each pair of grades by a paired difference of AUC.
+    """Answer each question in `QUESTIONS` for each pair of grades by the paired AUC difference.
 
     Parameters
     ----------
@@ -159,7 +159,7 @@ def _decide_answer(row: Mapping[str, float]) -> str:
 
 
 def select_best_possible(separability: pd.DataFrame) -> pd.DataFrame:
-    """Select the highest AUC from all knee parameters, which is a lower bound of the best possible AUC.
+    """Select the highest AUC of models that use all knee parameters: a lower bound of the best possible AUC.
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ from ....core.checks import Array
 from ....data.knees.grade_records import RangeGradeTable, SeverityGradeTable
 from ..features.degenerate_features import is_degenerate
 
-# Parameters whose distributions depend on the KL-like grade: column -> label.
+# Parameters whose distributions depend on the KL-like grade: manifest column -> label.
 GRADE_PARAMETERS = {
     "nominal_jsw_medial_mm": "nominal JSW medial, mm",
     "nominal_jsw_lateral_mm": "nominal JSW lateral, mm",
@@ -19,7 +19,7 @@ GRADE_PARAMETERS = {
     "subchondral_plate": "subchondral bone plate, relative",
     "varus_deg": "varus, deg",
 }
-# Other parameters of a knee: column -> label.
+# Other parameters of knee and subject: manifest column -> label.
 SUBJECT_PARAMETERS = {
     "age_years": "age, years",
     "bone_density": "bone density, relative",
@@ -98,7 +98,7 @@ def summarise_composition(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def summarise_morphology(parameters: pd.DataFrame, table: RangeGradeTable | SeverityGradeTable | None) -> pd.DataFrame:
-    """Compare the allowed range of each parameter with the sampled values, per grade.
+    """Compare the allowed range of each parameter with the sampled values for each grade.
 
     Parameters
     ----------
@@ -110,8 +110,8 @@ def summarise_morphology(parameters: pd.DataFrame, table: RangeGradeTable | Seve
     Returns
     -------
     DataFrame
-        Columns: parameter, grade, range_low, range_high (allowed range, NaN without a range), minimum, mean, maximum
-        (sampled values).
+        Columns: parameter, grade, range_low, range_high (allowed range; NaN if the table defines none), minimum, mean,
+        maximum (sampled values).
     """
     ranges, rows = table.grade if isinstance(table, RangeGradeTable) else {}, []
     for name, label in PARAMETERS.items():
@@ -195,7 +195,7 @@ def select_strongest_correlations(table: pd.DataFrame) -> pd.DataFrame:
 
 
 def _compute_centred_ranks(table: pd.DataFrame, names: list[str]) -> Array:
-    """Compute centred ranks (rows, names); the ranks are 0 for a constant column or one with a missing value."""
+    """Compute centred ranks (rows, names); the ranks of a column are 0 if it is constant or has a missing value."""
     if not names or table.empty:
         return np.zeros((len(table), len(names)))
     columns = [table[name].to_numpy(np.float64) for name in names]

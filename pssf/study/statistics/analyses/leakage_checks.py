@@ -1,8 +1,8 @@
 """Checks of a manifest for leakage: information other than the knee image that predicts the grade.
 
-Contradictory identifiers raise InputError: a radiograph listed under two subjects would be in training and test set.
-Associations are reported with their size. If grade and protocol are associated, the protocol predicts the grade, and
-harmonisation between protocols also removes differences between grades.
+Contradictory identifiers raise InputError: a radiograph listed under two subjects could be in both the training and the
+test set. Associations are reported with their effect size. If grade and protocol are associated, the protocol predicts
+the grade, and harmonisation between protocols also removes differences between grades.
 
 A warning is given if p < 0.05. In studies of the usual size, an association that gives an AUC of 0.7 on random labels
 has p of about 0.01. A false warning in one of twenty cohorts is preferred to a missed association; the warning states
@@ -25,7 +25,7 @@ _UNIQUE_WITHIN = {"sha256": ("subject", "knee"), "knee": ("subject", "grade", "s
 _KEY_LABELS = {"sha256": "file with sha256", "knee": "knee"}
 # Significance level of each of the two warnings, dimensionless.
 _ALPHA = 0.05
-_FALSE_ALARM_NOTE = "One in twenty cohorts without such an association gets this warning by chance"
+_FALSE_ALARM_NOTE = "This warning occurs by chance in one of twenty cohorts without an association"
 
 
 def require_consistent_identifiers(manifest: pd.DataFrame, table_name: str = "manifest") -> None:
@@ -58,7 +58,7 @@ def require_consistent_identifiers(manifest: pd.DataFrame, table_name: str = "ma
 
 
 def find_leakage_warnings(manifest: pd.DataFrame) -> list[str]:
-    """Warn of an association between grade and protocol or between grade and the order of the subjects.
+    """Find associations between grade and protocol, and between grade and subject order, that need a warning.
 
     Parameters
     ----------
@@ -68,18 +68,18 @@ def find_leakage_warnings(manifest: pd.DataFrame) -> list[str]:
     Returns
     -------
     list of str
-        One text per warning, with size and p-value of the association.
+        One text per warning, with the effect size and the p-value of the association.
     """
     sentence, p = _assess_grade_by_protocol(manifest)
     by_protocol = (
-        f"{sentence} A model of all protocols may predict the grade from the protocol, and harmonisation also removes "
-        f"differences between grades. {_FALSE_ALARM_NOTE}."
+        f"{sentence} A model trained on all protocols may predict the grade from the protocol, and harmonisation also "
+        f"removes differences between grades. {_FALSE_ALARM_NOTE}."
     )
     return [*([by_protocol] if p < _ALPHA else []), *_find_order_warnings(manifest)]
 
 
 def find_leakage_notes(manifest: pd.DataFrame) -> list[str]:
-    """Report a difference of the grade distributions between protocols that is too small for a warning.
+    """Report a difference between the grade distributions of the protocols that is too small for a warning.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def find_leakage_notes(manifest: pd.DataFrame) -> list[str]:
         One note; empty if the grade distributions are equal or the difference gives a warning.
     """
     sentence, p = _assess_grade_by_protocol(manifest)
-    return [f"{sentence} The difference is compatible with chance."] if _ALPHA <= p < 1 else []
+    return [f"{sentence} A difference of this size is compatible with chance."] if _ALPHA <= p < 1 else []
 
 
 def _assess_grade_by_protocol(manifest: pd.DataFrame) -> tuple[str, float]:
@@ -111,8 +111,8 @@ def _assess_grade_by_protocol(manifest: pd.DataFrame) -> tuple[str, float]:
     of = 100 * shares[grade]
     sentence = (
         f"Grades are distributed unequally over the protocols (Cramér's V {_cramers_v(counts.to_numpy()):.2f}, "
-        f"{_format_p(p)}): grade {grade} is {of.min():.0f} % of those under {of.idxmin()} "
-        f"and {of.max():.0f} % of those under {of.idxmax()}."
+        f"{_format_p(p)}): the fraction of grade {grade} is {of.min():.0f} % under protocol {of.idxmin()} "
+        f"and {of.max():.0f} % under protocol {of.idxmax()}."
     )
     return sentence, p
 
@@ -142,15 +142,14 @@ def _find_order_warnings(manifest: pd.DataFrame) -> list[str]:
         return []
     return [
         f"Subjects are numbered by their grade (Spearman's rho {rho:+.2f}; {100 * share:.0f} % have the same grade as "
-        f"the subject before, {100 * chance:.0f} % by chance; {_format_p(p)}). No model of this study uses the number. "
-        "Any other method that reads it, or file names that contain it, can predict the grade. Do not use them as "
-        "predictors. "
-        f"{_FALSE_ALARM_NOTE}."
+        f"the preceding subject, {100 * chance:.0f} % expected by chance; {_format_p(p)}). No model of this study uses "
+        "subject numbers. Any other method that uses subject numbers, or file names that contain them, can predict the "
+        f"grade. Do not use subject numbers or file names as predictors. {_FALSE_ALARM_NOTE}."
     ]
 
 
 def _natural_sort_key(subject: Any) -> list[Any]:
-    """Make a sort key that compares digits as numbers, so P2 comes before P10."""
+    """Make a sort key that compares digit sequences as numbers, so that P2 precedes P10."""
     return [int(part) if part.isdecimal() else part for part in re.split(r"(\d+)", str(subject))]
 
 
@@ -158,9 +157,9 @@ def _assess_neighbours(grades: NDArray[Any]) -> tuple[float, float, float]:
     """Test whether consecutive subjects have the same grade more or less often than by chance.
 
     Return the observed fraction of equal pairs, the fraction expected by chance, and the two-sided p-value. Blocks of
-    one grade give more equal pairs, alternating grades fewer. The number of equal pairs is the number of subjects minus
-    the number of runs (Wald and Wolfowitz; for more than two categories Barton and David 1957, Biometrika 44, 168).
-    `grades` is (subjects,), in the order of the subject identifiers.
+    one grade give more equal pairs, and alternating grades give fewer. The number of equal pairs is the number of
+    subjects minus the number of runs (Wald and Wolfowitz; for more than two categories Barton and David 1957,
+    Biometrika 44, 168). `grades` is (subjects,), in the order of the subject identifiers.
     """
     n, counts = len(grades), np.unique(grades, return_counts=True)[1].astype(np.float64)
     squares, cubes = (counts**2).sum(), (counts**3).sum()

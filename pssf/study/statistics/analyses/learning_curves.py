@@ -1,4 +1,4 @@
-"""Learning curves and sample size: AUC by number of training subjects, and power to show a difference of AUC."""
+"""Learning curves and sample size: AUC by number of training subjects, and power to detect an AUC difference."""
 
 import numpy as np
 import pandas as pd
@@ -48,7 +48,7 @@ def compute_learning_curves(splits: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns of `summarise_predictor_sets`, and gain, gain_low, gain_high: difference of AUC to the next smaller
+        Columns of `summarise_predictor_sets`, and gain, gain_low, gain_high: AUC minus the AUC at the next smaller
         fraction on the same test subjects, with an interval; NaN for the smallest fraction. The variance correction
         uses the number of training subjects of the smaller fraction. Fractions are in ascending order.
     """
@@ -74,7 +74,7 @@ def compute_learning_curves(splits: pd.DataFrame) -> pd.DataFrame:
 
 
 def compute_power(error: float, difference: float, splits: int) -> float:
-    """Compute the power of the test in `confidence_intervals.estimate_mean` to detect a difference of AUC.
+    """Compute the power of the test in `confidence_intervals.estimate_mean` to detect an AUC difference.
 
     The significance level is 5 %, two-sided.
 
@@ -83,7 +83,7 @@ def compute_power(error: float, difference: float, splits: int) -> float:
     error : float
         Standard error of the mean over the splits, from `compute_standard_error`.
     difference : float
-        True difference of AUC.
+        True AUC difference.
     splits : int
         Number of splits.
 
@@ -96,7 +96,7 @@ def compute_power(error: float, difference: float, splits: int) -> float:
 
 
 def subjects_needed(error: float, difference: float, splits: int, subjects: int) -> float:
-    """Compute the number of subjects needed to detect a difference of AUC with a power of 0.8.
+    """Compute the number of subjects needed to detect an AUC difference with a power of 0.8.
 
     The variance of the difference is assumed to be proportional to 1 / subjects.
 
@@ -105,7 +105,7 @@ def subjects_needed(error: float, difference: float, splits: int, subjects: int)
     error : float
         Standard error of the mean over the splits in this cohort.
     difference : float
-        True difference of AUC.
+        True AUC difference.
     splits : int
         Number of splits.
     subjects : int
@@ -129,7 +129,7 @@ def _noncentral_t_power(noncentrality: float, degrees_of_freedom: int) -> float:
 
 
 def variance_interval_factors(splits: int) -> tuple[float, float]:
-    """Compute the factors between a variance over splits and the limits of its 95 % interval (chi-square).
+    """Compute the factors that convert a variance over splits into the limits of its 95 % interval (chi-square).
 
     The factors are exact for normally distributed values with equal correlations between splits.
 
@@ -158,7 +158,7 @@ def tabulate_power(splits: pd.DataFrame, subjects: pd.Series, difference: float)
     subjects : Series
         Number of subjects of each pair of grades, indexed by the label of the pair.
     difference : float
-        Difference of AUC to detect.
+        AUC difference to be detected.
 
     Returns
     -------
@@ -198,7 +198,7 @@ def tabulate_power(splits: pd.DataFrame, subjects: pd.Series, difference: float)
 
 
 def compute_power_curve(row: pd.Series, subjects: Array) -> Array:
-    """Compute the power for other numbers of subjects.
+    """Compute the power curve of one comparison for other numbers of subjects.
 
     Parameters
     ----------

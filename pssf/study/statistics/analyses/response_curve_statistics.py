@@ -1,6 +1,6 @@
 """Response curves of features, ICC, decision threshold and AUC along the steps of a protocol parameter.
 
-Feature statistics are computed from all knees with response curves, and their intervals are over knees. Model
+Feature statistics and their intervals are computed over all knees with response curves. Model
 statistics are averaged over the splits, with intervals from `confidence_intervals`.
 """
 
@@ -20,20 +20,20 @@ from ..scores.confidence_intervals import estimate_mean, estimate_proportion
 from ..scores.metrics import mean_with_interval, percentile_interval
 from ..scores.tested_subjects import TEST_COUNT_COLUMNS
 
-# Measure: change of a feature from the cohort to the step, in SD over the knees of the cohort.
+# Measure: feature value at the step minus the value in the cohort, in SD over the knees of the cohort.
 SHIFT = "feature, SD"
-# Measure: ICC(2,1) between a feature at the step and in the cohort.
+# Measure: ICC(2,1) between the feature values at the step and in the cohort.
 ICC = "ICC(2,1)"
 # Measure: median of the ICC(2,1) over the features.
 MEDIAN_ICC = "median ICC(2,1)"
-# Measure: mean change of the log odds, which is the shift of the decision threshold that would compensate it.
+# Measure: mean change of the log odds, which equals the compensating shift of the decision threshold.
 ODDS = "threshold shift, log odds"
 # Measure: AUC of the model.
 AUC = "AUC"
 # Measure: AUC in the cohort minus AUC at the step.
 LOSS = "loss of AUC"
 COLUMNS = ["axis", "step_index", "step", "measure", "feature", "knees", "rarest", "value", "low", "high"]
-# Function from an axis and the number of a step, counted from 1, to the value of the step.
+# Function that returns the parameter value of a step from the name of the axis and the number of the step (from 1).
 StepLookup = Callable[[str, int], float]
 
 
@@ -46,7 +46,8 @@ class FeatureCurves:
     table : DataFrame
         Response curves, with the columns `COLUMNS`.
     median_icc_samples : dict of tuple to (1 + replicates,) float array
-        Median ICC over the features for each axis and step: first for all knees, then for each bootstrap sample.
+        Median ICC over the features for each axis and step: the first value is for all knees, the others for the
+        bootstrap samples.
     """
 
     table: pd.DataFrame
@@ -58,7 +59,8 @@ def compute_feature_curves(
 ) -> FeatureCurves:
     """Compute the shift and the ICC(2,1) of every feature at every step.
 
-    The shift is the change from the cohort in SD over the knees of the cohort. The ICC is between step and cohort.
+    The shift is the feature change from cohort to step, in SD over the knees of the cohort. The ICC is computed between
+    the radiographs at the step and in the cohort.
 
     Parameters
     ----------
@@ -69,7 +71,7 @@ def compute_feature_curves(
     names : list of str
         Names of the features.
     step : callable
-        Function from the name of an axis and the number of a step to the value of the step.
+        Function that returns the parameter value of a step from the name of the axis and the number of the step.
     replicates : int
         Number of bootstrap samples.
     seed : int
@@ -85,7 +87,8 @@ def compute_feature_curves(
     own = base.drop_duplicates("knee").set_index("knee")[names]
     steps = steps[steps["knee"].isin(own.index)]
     curved = steps.drop_duplicates("knee").sort_values("knee")
-    # Weights are sampled once, so each bootstrap sample has the same subjects at every step, even with missing regions.
+    # Weights are sampled once, so that each bootstrap sample has the same subjects at every step, even if regions are
+    # missing.
     weights = sample_knee_weights(curved["subject"].to_numpy(), replicates=replicates, seed=seed)
     rows, medians = [], {}
     for (axis, step_index), part in steps.groupby(["kind", "repeat_index"], sort=False):
@@ -127,7 +130,7 @@ def _estimate_agreement(values: Array, weights: Array, subjects: NDArray[Any]) -
 
 
 def _estimate_shift(values: Array) -> dict[str, float]:
-    """Compute the mean difference between the columns of values (knees, 2), with the interval of a paired t test."""
+    """Compute the mean column difference of `values` (knees, 2), with the interval of a paired t test."""
     return dict(zip(("value", "low", "high"), mean_with_interval(values[:, 1] - values[:, 0]), strict=True))
 
 
@@ -141,7 +144,7 @@ def compute_model_curves(splits: pd.DataFrame, step: StepLookup) -> pd.DataFrame
     splits : DataFrame
         Table from `learn.response_curves.evaluate_response_curves`.
     step : callable
-        Function from the name of an axis and the number of a step to the value of the step.
+        Function that returns the parameter value of a step from the name of the axis and the number of the step.
 
     Returns
     -------

@@ -16,7 +16,7 @@ SOBOL_COLUMNS = ["feature", "group", "samples", "first", "first_low", "first_hig
 SLOPE_COLUMNS = ["feature", "parameter", "knees", "slope", "slope_low", "slope_high"]
 # Number of bootstrap samples for the intervals of Sobol indices.
 _BOOTSTRAP_RESAMPLES = 400
-# Smallest number of complete samples; with fewer samples, the coverage of the intervals is below 95 %.
+# Smallest number of complete samples; with fewer samples, the coverage of the 95 % intervals is too low.
 _MIN_COMPLETE_SAMPLES = 32
 # Confidence level of the intervals.
 _CONFIDENCE_LEVEL = 0.95
@@ -28,9 +28,9 @@ def compute_sobol_indices(
     """Compute the first-order and total Sobol index of every parameter group for every feature.
 
     The first-order index is the fraction of variance that a group explains alone. The total index includes its
-    interactions with other groups (Saltelli 2010; Jansen 1999). The intervals are those of SALib, from a
-    bootstrap of the samples. If one radiograph causes most of the variance of a feature, an estimate may be far below 0
-    or above 1. The coverage of the intervals of these features is below 95 %.
+    interactions with other groups (Saltelli 2010; Jansen 1999). SALib computes the intervals from a bootstrap of the
+    samples. If one radiograph causes most of the variance of a feature, an estimate may be far below 0 or above 1. The
+    coverage of the intervals of these features is below 95 %.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def compute_sobol_indices(
     names : list of str
         Names of the features.
     bounds : mapping of str to tuple of float
-        Bounds of the parameters.
+        Lower and upper bound of each parameter, in the unit of the parameter.
     samples : int
         Number of samples N of the design.
     seed : int
@@ -48,7 +48,7 @@ def compute_sobol_indices(
     Returns
     -------
     DataFrame
-        Columns `SOBOL_COLUMNS`. Samples with a missing radiograph are omitted, as are features with too few samples.
+        Columns `SOBOL_COLUMNS`. Samples with a missing radiograph and features with too few samples are omitted.
     """
     problem = build_salib_problem(bounds)
     groups = list(dict.fromkeys(problem["groups"]))
@@ -84,7 +84,7 @@ def compute_slopes(
     names: list[str],
     bounds: Mapping[str, tuple[float, float]],
 ) -> pd.DataFrame:
-    """Compute the slope of every feature against each parameter, in SD of the feature per SD of the parameter.
+    """Compute the slope of every feature against each parameter, in feature SD per parameter SD.
 
     The slope is the mean over the knees, with the interval of a t test. The SD of a feature is over the knees of the
     cohort. The SD of a parameter is the SD of a uniform distribution between its bounds.
@@ -101,7 +101,7 @@ def compute_slopes(
     names : list of str
         Names of the features.
     bounds : mapping of str to tuple of float
-        Bounds of the parameters.
+        Lower and upper bound of each parameter, in the unit of the parameter.
 
     Returns
     -------
@@ -140,7 +140,8 @@ def merge_sensitivity_tables(
 ) -> pd.DataFrame:
     """Merge correlations, slopes and total Sobol indices of each feature and parameter.
 
-    The total Sobol index belongs to the group of the parameter. Protocol parameters have no correlation.
+    The total Sobol index is that of the parameter group to which the parameter belongs. Protocol parameters have no
+    correlation.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Number of features per training subject, and chosen hyperparameters."""
+"""Numbers of training subjects and features, and selected hyperparameter values."""
 
 import pandas as pd
 
@@ -24,7 +24,7 @@ def count_dimensions(
     usable: pd.DataFrame,
     feature_count: int,
 ) -> pd.DataFrame:
-    """Count features and training subjects, on the split with the fewest training subjects per feature.
+    """Count features and training subjects in the split with the fewest training subjects per feature.
 
     Ten subjects per feature are a common minimum (Kocak 2024, METRICS item 16).
 
@@ -45,8 +45,9 @@ def count_dimensions(
     -------
     DataFrame
         One row per task, training protocol and selection. subjects: number of training subjects with a
-        grade of the task. features_measured, features_offered and features_selected: number of features that are
-        measured, remain after pruning (if known) and are selected. subjects_per_feature: subjects per selected feature.
+        grade of the task. features_measured, features_offered and features_selected: numbers of features that are
+        measured, that remain after pruning (if known), and that are selected. subjects_per_feature: subjects per
+        selected feature.
     """
     grades = usable.groupby("subject")["grade"].agg(set)
     training = subjects[subjects["part"] == "training"].groupby("repeat")["subject"].agg(list)
@@ -69,12 +70,12 @@ def count_dimensions(
 
 
 def count_tuned_values(tuning: pd.DataFrame) -> pd.DataFrame:
-    """Count how often each value of a hyperparameter was chosen on the validation subjects.
+    """Count the splits in which each hyperparameter value was selected on the validation subjects.
 
     Parameters
     ----------
     tuning : DataFrame
-        Chosen values on all splits, from `SplitOutcome.tuning`.
+        Hyperparameter values selected on all splits, from `SplitOutcome.tuning`.
 
     Returns
     -------

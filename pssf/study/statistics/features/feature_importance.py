@@ -5,12 +5,12 @@ import pandas as pd
 from ....radiomics.features.feature_families import FAMILIES, feature_family
 from ...design.study_settings import StudySettings
 
-# Number of features with the largest importance that figures show individually.
+# Number of features, those with the largest importance, that figures show individually.
 _LEADING_COUNT = 5
 
 
 def average_by_feature(importances: pd.DataFrame, splits: int, value: str = "importance") -> pd.DataFrame:
-    """Average the importance of each feature over all splits; it is 0 on splits that did not select the feature.
+    """Average the importance of each feature over all splits; the importance is 0 on splits without the feature.
 
     Parameters
     ----------

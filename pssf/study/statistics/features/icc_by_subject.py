@@ -1,9 +1,9 @@
-"""Confidence intervals of ICCs from a bootstrap of subjects with all their knees; the conditions are fixed.
+"""Confidence intervals of ICCs from a bootstrap of subjects with all their knees, for fixed conditions.
 
-Percentile intervals of the bootstrap ICCs are too narrow. With 10 to 60 subjects of two knees and a true ICC of 0.3 to
-0.99, their coverage is 87 to 95 %. This module transforms the ICC to Fisher's z (1925, Statistical Methods, section
-38), which is approximately normal. The interval uses the bootstrap SD of z and t quantiles; its coverage is 93 to 96 %.
-For features as skewed as a lognormal variable, the coverage of both methods is too low.
+Percentile intervals of the bootstrap ICCs are too narrow. With 10 to 60 subjects with two knees each and a true ICC of
+0.3 to 0.99, their coverage is 87 to 95 %. This module transforms the ICC to Fisher's z (1925, Statistical Methods,
+section 38), which is approximately normal. The interval uses the bootstrap SD of z and t quantiles; its coverage is 93
+to 96 %. For features as skewed as a lognormal variable, the coverage of both methods is too low.
 """
 
 from typing import Any
@@ -14,7 +14,7 @@ from scipy.stats import t as t_distribution
 
 from ....core.checks import Array
 
-# Key of the random stream of the bootstrap, after the seed of the study; `claims` uses another key.
+# Key of the bootstrap random stream, combined with the seed of the study; `claims` uses another key.
 _STREAM = 2**31 + 2
 # Smallest distance of an ICC from the limits of its range, dimensionless; clipping keeps Fisher's z finite.
 _ICC_MARGIN = 1e-12
@@ -79,7 +79,7 @@ def compute_icc_interval(value: float, bootstrap_icc: Array, *, conditions: int,
     Parameters
     ----------
     value : float
-        ICC over all knees.
+        ICC computed from all knees.
     bootstrap_icc : (replicates,) float array, dimensionless
         ICC of each bootstrap sample.
     conditions : int
@@ -96,23 +96,24 @@ def compute_icc_interval(value: float, bootstrap_icc: Array, *, conditions: int,
     if not len(known) or not np.isfinite(value):
         return float("nan"), float("nan")
     z = _fisher_z(np.array([value, *known]), conditions)
-    # For equal values, rounding errors would give the interval a nonzero width, and a claim could be decided.
+    # If all values are equal, rounding errors would give the interval a nonzero width, so that a claim could be
+    # decided.
     if not np.ptp(z[1:]):
         return value, value
     half = t_distribution.ppf(0.975, max(1, subjects - 1)) * z[1:].std()
     low, high = _inverse_fisher_z(z[0] + half * np.array([-1.0, 1.0]), conditions)
-    # Clipping changes an ICC of 1, so the limits are extended to include the ICC.
+    # Clipping changes an ICC of exactly 1, so the limits are extended to include the ICC.
     return float(min(low, value)), float(max(high, value))
 
 
 def _fisher_z(icc: Array, conditions: int) -> Array:
-    """Transform ICCs to Fisher's z."""
+    """Transform ICCs to the scale of Fisher's z."""
     clipped = np.clip(icc, -1 / (conditions - 1) + _ICC_MARGIN, 1 - _ICC_MARGIN)
     return 0.5 * np.log((1 + (conditions - 1) * clipped) / (1 - clipped))
 
 
 def _inverse_fisher_z(z: Array, conditions: int) -> Array:
-    """Transform Fisher's z to ICCs."""
+    """Transform values on the scale of Fisher's z to ICCs."""
     # The formula uses exp(-2z) instead of exp(2z), which could overflow.
     less = np.exp(-2 * z)
     return np.asarray((1 - less) / (1 + (conditions - 1) * less))

@@ -1,14 +1,15 @@
-"""Error of the located medial joint line, and rate of radiographs without a located joint."""
+"""Location error of the medial joint line, and number of radiographs without a located joint."""
 
 import numpy as np
 import pandas as pd
 
-# Smallest gross localisation error, in mm: about one joint space width, so the region is at another anatomical site.
+# Threshold of a gross localisation error, in mm: about one joint space width, beyond which the region is at another
+# anatomical site.
 GROSS_ERROR_MM = 5.0
 
 
 def add_localisation_errors(table: pd.DataFrame) -> pd.DataFrame:
-    """Add the distance between located and true medial joint line to a table of radiographs.
+    """Add the distance between the located and the true medial joint line to a table of radiographs.
 
     Parameters
     ----------
@@ -42,9 +43,9 @@ def summarise_localisation(table: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row per protocol and grade, and one row for all radiographs. Columns: number of radiographs; number without
-        a located region, by cause; mean and 95th percentile of the error; mean error along rows and columns; number of
-        errors above 5 mm; lowest template-matching score.
+        One row per protocol and grade, and one row for all radiographs. Columns: number of radiographs; number of
+        radiographs without a located region, by cause; mean and 95th percentile of the error; mean error along rows and
+        columns; number of errors above 5 mm; lowest template-matching score.
     """
     rows = [
         {"protocol": protocol, "grade": str(grade), **_summarise_errors(part)}

@@ -14,7 +14,7 @@ from .icc_by_subject import Interval, compute_icc_form_intervals, sample_knee_we
 
 # Forms of the ICC for a single measurement: absolute agreement and consistency.
 ICC_FORMS = ("ICC(2,1)", "ICC(3,1)")
-# Smallest ICC of a stable feature: "excellent" in Koo and Li 2016; arXiv 2601.11642 uses the same threshold.
+# Smallest ICC of a stable feature ("excellent" in Koo and Li 2016); arXiv 2601.11642 uses the same threshold.
 ICC_THRESHOLD = 0.90
 # Classes of reliability and their lower bounds (Koo and Li 2016).
 _BANDS = ((0.90, "excellent"), (0.75, "good"), (0.50, "moderate"))
@@ -67,7 +67,7 @@ def compute_mean_squares(values: Array) -> MeanSquares | None:
     knees, conditions = values.shape
     if knees < 2 or conditions < 2 or all(is_degenerate(of_one) for of_one in values.T):
         return None
-    # Standardising avoids the loss of digits in squares of large values.
+    # Standardising avoids a loss of precision in the squares of large values.
     values = (values - values.mean()) / values.std()
     rows, columns = values.mean(axis=1), values.mean(axis=0)
     rest = values - rows[:, None] - columns[None, :]
@@ -81,7 +81,7 @@ def compute_mean_squares(values: Array) -> MeanSquares | None:
 
 
 def icc(values: Array) -> tuple[float, float]:
-    """Compute ICC(2,1), absolute agreement, and ICC(3,1), consistency, of single measures (Shrout and Fleiss 1979).
+    """Compute ICC(2,1) (absolute agreement) and ICC(3,1) (consistency) of single measures (Shrout and Fleiss 1979).
 
     Parameters
     ----------
@@ -100,8 +100,8 @@ def icc(values: Array) -> tuple[float, float]:
 def compute_variance_fractions(values: Array) -> tuple[float, float, float]:
     """Compute the fractions of variance due to knee, condition and residual for a single measurement.
 
-    The components are those of the two-way random model; negative estimates are set to 0 (Searle 1992). The residual
-    includes noise and the interaction of knee and condition.
+    The variance components are those of the two-way random-effects model; negative estimates are set to 0 (Searle
+    1992). The residual includes noise and the interaction of knee and condition.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def compute_variance_fractions(values: Array) -> tuple[float, float, float]:
     Returns
     -------
     tuple of float
-        Fractions of knee, condition and residual, which sum to 1; NaN if all knees have the same value.
+        Variance fractions due to knee, condition and residual, which sum to 1; NaN if all knees have the same value.
     """
     s = compute_mean_squares(values)
     if s is None:
@@ -125,7 +125,7 @@ def compute_variance_fractions(values: Array) -> tuple[float, float, float]:
 def pivot_features(
     table: pd.DataFrame, names: list[str], condition_column: str, conditions: list[str]
 ) -> tuple[Array, NDArray[Any]]:
-    """Arrange features by knee and condition; knees without a radiograph under each condition are omitted.
+    """Arrange features by knee and condition; knees that lack a radiograph under any condition are omitted.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def pivot_features(
     condition_column : str
         Column that contains the condition of each radiograph.
     conditions : list of str
-        Conditions, in the order of the second axis of `values`.
+        Conditions, in the order of the second axis of the returned `values`.
 
     Returns
     -------
@@ -161,8 +161,8 @@ def compute_reliability(
     """Compute the ICC of every feature across all protocols and across pairs of the reference and another protocol.
 
     The intervals are computed from a bootstrap of subjects with all their knees; the protocols are fixed. Intervals
-    from the F distribution (McGraw and Wong 1996) are not used: for ICC(2,1) they refer to a population of protocols,
-    of which two or three protocols are too small a sample.
+    from the F distribution (McGraw and Wong 1996) are not used: for ICC(2,1), these intervals assume that the protocols
+    are a random sample of a population, and two or three protocols are too few.
 
     Parameters
     ----------
@@ -182,8 +182,8 @@ def compute_reliability(
     -------
     DataFrame
         One row per feature and set of protocols: feature, conditions, knees, subjects, each ICC with its interval,
-        class (Koo and Li 2016, by the lower bound of ICC(2,1)), variance_fraction_knee, variance_fraction_condition,
-        variance_fraction_residual.
+        class (reliability class of Koo and Li 2016, from the lower bound of ICC(2,1)), variance_fraction_knee,
+        variance_fraction_condition, variance_fraction_residual.
     """
     protocols = list_protocols(table, reference)
     sets = [protocols] if len(protocols) == 2 else [protocols, *([a, b] for a, b in combinations(protocols, 2))]
@@ -242,7 +242,7 @@ def compute_repeatability(
 
 
 def count_stable_features(table: pd.DataFrame) -> pd.DataFrame:
-    """Count the stable features of each set of conditions, by the ICC and by its lower bound.
+    """Count the features whose ICC, or whose lower ICC bound, reaches the threshold, for each set of conditions.
 
     Parameters
     ----------

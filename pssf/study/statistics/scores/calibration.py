@@ -32,16 +32,16 @@ def compute_calibration(predictions: pd.DataFrame) -> pd.DataFrame:
     DataFrame
         One row per model and selection. predictions: number of predictions. slope, intercept: coefficients of a
         logistic regression of the grade against the logit of the probability (Cox 1958). Slope 1 and intercept 0 mean
-        perfect calibration. Both are NaN if a threshold separates the grades, because the slope is then infinite.
-        brier: mean squared error of the probability. log_odds: log odds of grade 2 among the test knees. Models are
-        fitted with equal class weights, which shifts the intercept by log_odds.
+        perfect calibration. Both are NaN if a probability threshold separates the grades perfectly, because the slope
+        is then infinite. brier: mean squared error of the probability. log_odds: log odds of grade 2 among the test
+        knees. Models are fitted with equal class weights, which shifts the intercept by log_odds.
     """
     rows = []
     for labels, truth, probability in _select_arms(predictions):
         slope, intercept = _fit_calibration_line(truth, probability)
         positive = float(truth.mean())
         odds = float(np.log(positive / (1 - positive))) if 0 < positive < 1 else float("nan")
-        # sklearn's brier_score_loss is not used because it differs by rounding (1.1e-16).
+        # sklearn's brier_score_loss is not used, because its result differs by a rounding error (1.1e-16).
         brier = float(((probability - truth) ** 2).mean())
         line = {"slope": slope, "intercept": intercept, "brier": brier, "log_odds": odds}
         rows.append({**labels, "predictions": len(truth), **line})
@@ -50,7 +50,7 @@ def compute_calibration(predictions: pd.DataFrame) -> pd.DataFrame:
 
 
 def compute_calibration_curve(predictions: pd.DataFrame) -> pd.DataFrame:
-    """Compute the calibration curve in ten bins of probability; empty bins are omitted.
+    """Compute the calibration curve in ten probability bins; empty bins are omitted.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ def compute_calibration_curve(predictions: pd.DataFrame) -> pd.DataFrame:
 def count_confusions(predictions: pd.DataFrame) -> pd.DataFrame:
     """Count true and predicted classes of every arm (see `ARM_COLUMNS`), summed over the splits.
 
-    A knee is counted in every split in which it is a test knee. A class is labelled by its lowest grade.
+    A knee is counted in every split in which it is a test knee. A class is labelled with its lowest grade.
 
     Parameters
     ----------
@@ -113,7 +113,7 @@ def _select_arms(predictions: pd.DataFrame) -> list[tuple[dict[str, Any], NDArra
 
 
 def _fit_calibration_line(truth: NDArray[np.int64], probability: Array) -> tuple[float, float]:
-    """Fit calibration slope and intercept; both are NaN if infinite or undefined."""
+    """Fit calibration slope and intercept; both are NaN if the slope is infinite or undefined."""
     logit = np.log(
         np.clip(probability, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)
         / np.clip(1 - probability, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY)

@@ -1,7 +1,7 @@
 """Evaluation of the claims of a published study on a cohort: holds, does not hold, or not decidable.
 
-The claims are those of Alzubaidi and Al-Bayaty, arXiv 2601.11642, sections 3.2 to 3.4. A claim holds if the whole 95 %
-interval of its measure is on the claimed side of a bound. It does not hold if the whole interval is on the other side.
+The claims are those of Alzubaidi and Al-Bayaty, arXiv 2601.11642, sections 3.2 to 3.4. A claim holds if the entire 95 %
+interval of its measure is on the claimed side of a bound. It does not hold if the entire interval is on the other side.
 Otherwise it is not decidable. A claim is also not decidable if the interval has no width or the test sets are too
 small. A claim about differences between arms is decided only if the difference is significant after Holm's correction
 over the compared arms.
@@ -31,7 +31,7 @@ from .tested_subjects import (
 ValueWithInterval = tuple[float, float, float]
 COLUMNS = ["claim", "measure", "value", "low", "high", "bound", "verdict"]
 # Claimed trends: claim, feature and expected sign for linear pixels. Denser bone transmits less radiation, so it is
-# brighter on display but has a lower linear signal.
+# brighter in a displayed radiograph but has a lower linear signal.
 _TRENDS = (
     ("First-order mean rises with grade (bone bright)", "firstorder_linear_Mean", -1),
     ("First-order energy rises with grade (bone bright)", "firstorder_linear_Energy", -1),
@@ -45,9 +45,9 @@ _TRENDS = (
 _EXCELLENT = 0.80
 _CLAIMED_METRICS = ("auc", "balanced_accuracy")
 _CLAIMED_FAMILIES = ("glcm", "glszm")
-# Key of the random stream of the bootstrap, after the seed of the study; `icc_by_subject` uses another key.
+# Key of the bootstrap random stream, combined with the seed of the study; `icc_by_subject` uses another key.
 _STREAM = 2**31 + 1
-# Verdict if the data are not sufficient to decide on a claim.
+# Verdict if the data are insufficient for a decision about a claim.
 UNDECIDED = "not decidable"
 # Significance level of the p-value after Holm's correction, dimensionless.
 _SIGNIFICANCE_LEVEL = 0.05
@@ -65,7 +65,7 @@ def evaluate_claims(
     tables: dict[str, pd.DataFrame],
     settings: StudySettings,
 ) -> pd.DataFrame:
-    """Evaluate every claim with each of its measures.
+    """Evaluate every claim of the published study with each of its measures.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def evaluate_claims(
 
 
 def decide_verdict(low: float, high: float, bound: float, direction: int = +1) -> str:
-    """Decide whether a whole interval is on the claimed side of a bound.
+    """Decide whether an entire interval is on the claimed side of a bound.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def decide_verdict(low: float, high: float, bound: float, direction: int = +1) -
     bound : float
         Bound of the claim.
     direction : int, default 1
-        +1 if the claim is a value above the bound, -1 if below.
+        +1 if the claim is that the value is above the bound, -1 if it is that the value is below the bound.
 
     Returns
     -------
@@ -161,15 +161,15 @@ def _sample_bootstrap_counts(table: pd.DataFrame, settings: StudySettings) -> Ar
 
 
 def _compute_interval(replicates: Array) -> ValueWithInterval:
-    """Return a statistic (first value) and its 95 % percentile interval over the bootstrap samples (other values)."""
+    """Return the first value and the 95 % percentile interval of the other values, which are from bootstrap samples."""
     return float(replicates[0]), *percentile_interval(replicates[1:])
 
 
 def compute_spearman(first: Array, second: Array, weights: Array) -> Array:
     """Compute Spearman's rho of two variables in weighted samples of their rows.
 
-    The result is Pearson's correlation of mid-ranks. It equals the result of `scipy.stats.spearmanr` if each row is
-    repeated as often as its weight says.
+    The result is Pearson's correlation of mid-ranks. It equals the result of `scipy.stats.spearmanr` for a table in
+    which each row is repeated `weights` times.
 
     Parameters
     ----------
@@ -202,7 +202,8 @@ def _evaluate_stability(reliability: pd.DataFrame) -> list[dict[str, object]]:
 
     The claim holds if the lower bound of at least one ICC is above the threshold. It does not hold if no upper bound is
     above the threshold. Among many features, some lower bounds are above the threshold by chance, so simultaneous lower
-    bounds are used. The fraction of stable features is not used, because its interval has no width at a fraction of 0.
+    bounds are used. The fraction of stable features is not used as the measure, because its interval has no width at a
+    fraction of 0.
     """
     rows = []
     form = ICC_FORMS[0]
@@ -213,8 +214,8 @@ def _evaluate_stability(reliability: pd.DataFrame) -> list[dict[str, object]]:
         subjects = int(part["subjects"].median())
         values, lows = part[[*columns[:2]]].to_numpy(np.float64).T
         low = float(pd.Series(_compute_simultaneous_bounds(values, lows, subjects)).max())
-        counts = f"{stable[0]} of {len(part)} features are ≥ {ICC_THRESHOLD:.2f}, {stable[1]} by their lower bound"
-        measure = f"greatest {form}, {across}; {counts} (paper: 43 of 107)"
+        counts = f"≥ {ICC_THRESHOLD:.2f} in {stable[0]} of {len(part)} features, lower bound in {stable[1]}"
+        measure = f"highest {form}, {across}; {counts} (published: 43 of 107 features)"
         # The ICC does not use the grade, so the number of subjects per grade is not checked.
         numbers, decidable = (value, low, high), subjects >= MIN_TEST_SUBJECTS
         rows.append(
@@ -224,7 +225,7 @@ def _evaluate_stability(reliability: pd.DataFrame) -> list[dict[str, object]]:
 
 
 def _compute_simultaneous_bounds(values: Array, lows: Array, subjects: int) -> Array:
-    """Lower the individual lower bounds (n,) of ICCs to simultaneous lower bounds.
+    """Convert individual lower bounds (n,) of ICCs into simultaneous lower bounds, which are lower.
 
     Bonferroni's correction is applied to Fisher's z, which is approximately normal, with the t distribution as in
     `icc_by_subject.compute_icc_interval`.
@@ -241,9 +242,9 @@ def _evaluate_families(
     settings: StudySettings,
     ratio: float,
 ) -> list[dict[str, object]]:
-    """Evaluate the claim about GLCM and GLSZM features by their fraction of the importance.
+    """Evaluate the claim about GLCM and GLSZM features, using their fraction of the total feature importance.
 
-    The bound is 0.5 or the fraction of these families among the features offered to the selection, whichever is larger.
+    The bound is the larger of 0.5 and the fraction of GLCM and GLSZM features among the candidates for selection.
     """
     part, given = (
         table[(table["task"] == "0 vs 2") & (table["trained_on"] == settings.reference)]
@@ -256,9 +257,7 @@ def _evaluate_families(
         of_selection = given[given["selection"] == selection]
         by_chance = float(_is_claimed_family(of_selection).groupby(of_selection["repeat"]).mean().mean())
         of_splits = estimate_proportion(fractions.to_numpy(), ratio)
-        measure = (
-            f"fraction of importance from GLCM and GLSZM, {_format_arm(model, selection)}; {by_chance:.2f} by chance"
-        )
+        measure = f"importance fraction of GLCM and GLSZM, {_format_arm(model, selection)} (by chance {by_chance:.2f})"
         claim = "GLCM and GLSZM features are the most important"
         numbers, bound = (of_splits.value, of_splits.low, of_splits.high), max(0.5, by_chance)
         rows.append(_make_claim_row(claim, measure, numbers, bound, decidable=decidable))
@@ -290,12 +289,12 @@ def _evaluate_grade_order(predictions: pd.DataFrame, settings: StudySettings, ra
     decidable, rows = has_enough_test_subjects(counts.median()), []
     for upper in (1, 2):
         of_splits = estimate_mean(by_split[:, upper - 1], ratio, -2.0, 2.0)
-        measure = f"mean predicted grade of grade {upper} minus that of grade {upper - 1}, {arm}"
+        measure = f"mean predicted grade, knees of grade {upper} minus knees of grade {upper - 1}, {arm}"
         estimated = of_splits.value, of_splits.low, of_splits.high
         claim = "Predicted grades of grade 1 lie between those of 0 and 2"
         rows.append(_make_claim_row(claim, measure, estimated, 0.0, decidable=decidable))
     of_splits = estimate_mean(np.array(spared), ratio)
-    measure = f"fraction confused by two grades, by chance minus observed, {arm}"
+    measure = f"fraction of two-grade errors, expected by chance minus observed, {arm}"
     estimated = of_splits.value, of_splits.low, of_splits.high
     rows.append(_make_claim_row("The extreme grades are seldom confused", measure, estimated, 0.0, decidable=decidable))
     return rows
@@ -305,8 +304,8 @@ def _compute_avoided_confusion(counts: NDArray[np.int64]) -> float:
     """Compute the fraction of confusions between first and last class expected by chance, minus the observed fraction.
 
     Chance means that the same predicted classes are assigned independently of the true classes. A comparison with
-    confusions by one grade is not used: random predictions also have more of them, because they can occur in twice as
-    many ways. `counts` is the (3, 3) confusion matrix.
+    one-grade errors is not used: random predictions also contain more one-grade than two-grade errors, because
+    one-grade errors can occur in twice as many ways. `counts` is the (3, 3) confusion matrix.
     """
     true, called, rows = counts.sum(axis=1), counts.sum(axis=0), counts.sum()
     by_chance = (true[0] * called[2] + true[2] * called[0]) / rows**2
@@ -329,13 +328,13 @@ def _evaluate_performance(scores: pd.DataFrame, settings: StudySettings) -> list
             claim = f"Logistic regression performs well with few features (at most {settings.most_features})"
         for metric in _CLAIMED_METRICS:
             numbers = (line[metric], line[f"{metric}_low"], line[f"{metric}_high"])
-            measure = f"{METRICS[metric]}, 0 vs 2, {_format_arm(line['model'], line['selection'])} (paper: 0.92)"
+            measure = f"{METRICS[metric]}, 0 vs 2, {_format_arm(line['model'], line['selection'])} (published: 0.92)"
             rows.append(_make_claim_row(claim, measure, numbers, _EXCELLENT, decidable=has_enough_test_subjects(line)))
     return rows
 
 
 def _evaluate_protocol_changes(differences: pd.DataFrame, settings: StudySettings) -> list[dict[str, object]]:
-    """Evaluate the claims about changes of performance across protocols."""
+    """Evaluate the claims about performance changes across protocols."""
     claimed = (
         ("cross minus within", "Testing on another protocol lowers performance", -1),
         ("multi minus cross", "Training on all protocols restores performance", +1),

@@ -1,6 +1,6 @@
 """95 % intervals of scores and of score differences, from the variation between splits.
 
-Models are trained and tested anew on each split, so the scores include the variation of training and test sets. The
+Models are trained and tested anew on each split, so the scores include the variation of the training and test sets. The
 splits overlap, so the mean score has a larger variance than the mean over independent splits. Nadeau and Bengio 2003
 (Machine Learning 52, 239) give the variance of the mean of R splits as s^2 (1/R + n_test / n_train). Here s^2 is the
 variance between splits, and n_test and n_train are the numbers of test and training subjects. The interval uses the
@@ -78,7 +78,7 @@ def compute_test_train_ratio(subjects: pd.DataFrame) -> float:
 
 
 def estimate_mean(splits: Array, ratio: float, lower_limit: float = -1.0, upper_limit: float = 1.0) -> Estimate:
-    """Estimate the mean of a measure over the splits and its 95 % interval; see the module docstring.
+    """Estimate the mean of a measure over the splits and its 95 % interval (method: see the module docstring).
 
     Parameters
     ----------
@@ -202,7 +202,7 @@ def compute_arm_intervals(splits: pd.DataFrame, ratio: float) -> pd.DataFrame:
 
 
 def compare_arms(splits: pd.DataFrame, ratio: float) -> pd.DataFrame:
-    """Compare the metrics of pairs of arms that are trained and tested on the same subjects of each split.
+    """Compare the metrics of pairs of arms that use the same training and test subjects in each split.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ def apply_holm(p: Array) -> Array:
     (tests,) float array
         Corrected p-values, in the order of `p`.
     """
-    # The function in statsmodels is not used because each call runs the garbage collector, which takes 0.3 s.
+    # The statsmodels function is not used, because each call runs the garbage collector, which takes 0.3 s.
     order = np.argsort(p, kind="stable")
     corrected = np.empty(len(p))
     corrected[order] = np.minimum(1.0, np.maximum.accumulate(p[order] * np.arange(len(p), 0, -1)))
@@ -290,7 +290,7 @@ def _find_arm_pairs(arms: list[tuple[str, ...]]) -> Iterator[tuple[str, int, int
             if scenario != first or selection == NO_SELECTION:
                 continue
             if first == "multi" and second == "within" and tested_on != reference:
-                continue  # The within scenario is tested on the reference protocol only.
+                continue  # In the within scenario, models are tested only on the reference protocol.
             partner = known.get((task, second, reference if second == "within" else tested_on, model, selection))
             if partner is not None:
                 yield comparison, index, partner

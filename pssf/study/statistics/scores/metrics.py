@@ -47,8 +47,8 @@ def score_predictions(truth: NDArray[np.int64], probability: Array) -> dict[str,
 def auc(positive: NDArray[np.bool_], value: Array) -> float:
     """Compute the area under the ROC curve by ranks (Hanley and McNeil 1982).
 
-    The AUC is the fraction of pairs of a positive and a negative row in which the positive row has the larger value. A
-    pair with equal values counts as one half.
+    The AUC is the fraction of positive-negative row pairs in which the positive row has the larger value. A pair with
+    equal values counts as one half.
 
     Parameters
     ----------
@@ -93,15 +93,15 @@ def auc_with_interval(positive: NDArray[np.bool_], value: Array) -> dict[str, fl
 
 
 def mean_roc(truth: NDArray[np.int64], value: Array, split: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Average the sensitivities of the ROC curves of all splits at equal false positive rates (Fawcett 2006).
+    """Average the ROC curves of all splits: mean sensitivity at each false positive rate (Fawcett 2006).
 
-    The area under the mean curve is the mean AUC. A curve of pooled predictions would mix thresholds
-    of different models.
+    The area under the mean curve is the mean AUC. A ROC curve of the pooled predictions would mix thresholds of
+    different models.
 
     Parameters
     ----------
     truth : (rows,) int64 array
-        Class 0 or 1 of each row.
+        True class of each row, 0 or 1.
     value : (rows,) float array, any unit
         Predicted value, expected to be larger for class 1.
     split : (rows,) int64 array
@@ -138,7 +138,7 @@ def weighted_scores(truth: NDArray[np.int64], probability: Array, weight: Array)
     probability : (rows, classes) float array, probabilities
         Predicted probability of each class.
     weight : (rows, samples) float array, counts
-        Weight of each row in each sample. Sums of whole numbers are exact in any order of addition.
+        Weight of each row in each sample. Whole numbers make the sums exact in any order of addition.
 
     Returns
     -------
@@ -163,7 +163,7 @@ def weighted_scores(truth: NDArray[np.int64], probability: Array, weight: Array)
 def weighted_kappa(truth: NDArray[np.int64], probability: Array, weight: Array) -> Array:
     """Compute Cohen's kappa of true and predicted class with quadratic weights (Cohen 1968).
 
-    The classes are ordered; an error of two classes has four times the weight of an error of one class.
+    The classes are ordered; a two-class error has four times the weight of a one-class error.
 
     Parameters
     ----------
@@ -177,9 +177,9 @@ def weighted_kappa(truth: NDArray[np.int64], probability: Array, weight: Array) 
     Returns
     -------
     (samples,) float array
-        Kappa; NaN if all true and predicted classes are the same class.
+        Kappa of each sample; NaN if all true and predicted classes are one single class.
     """
-    # sklearn's cohen_kappa_score gives the same bytes, but one call per sample takes 10,000 times as long.
+    # sklearn's cohen_kappa_score gives identical results, but one call per sample takes 10,000 times as long.
     counts = _weighted_confusion(truth, probability, weight)
     places = np.arange(len(counts))
     off = (places[:, None] - places) ** 2
@@ -197,7 +197,7 @@ def _weighted_confusion(truth: NDArray[np.int64], probability: Array, weight: Ar
 
 
 def weighted_auc(positive: NDArray[np.bool_], value: Array, weight: Array) -> Array:
-    """Compute the AUC of many weighted samples; the weight of a pair is the product of the weights of its rows.
+    """Compute the AUC of many weighted samples; a pair of rows has the product of its row weights as weight.
 
     Parameters
     ----------
@@ -221,7 +221,7 @@ def weighted_auc(positive: NDArray[np.bool_], value: Array, weight: Array) -> Ar
 
 
 def confusion_matrix(truth: NDArray[np.int64], probability: Array) -> NDArray[np.int64]:
-    """Count the pairs of true class and predicted (most probable) class.
+    """Count the rows for each pair of true and predicted (most probable) class.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ def confusion_matrix(truth: NDArray[np.int64], probability: Array) -> NDArray[np
 
 
 def percentile_interval(values: Array) -> tuple[float, float]:
-    """Compute the 2.5th and 97.5th percentile of the finite values.
+    """Compute the 2.5th and 97.5th percentiles of the finite values.
 
     Parameters
     ----------
@@ -252,7 +252,7 @@ def percentile_interval(values: Array) -> tuple[float, float]:
     Returns
     -------
     tuple of float
-        2.5th and 97.5th percentile; NaN without a finite value.
+        2.5th and 97.5th percentiles; NaN without a finite value.
     """
     known = values[np.isfinite(values)]
     if not len(known):

@@ -14,7 +14,7 @@ from .metrics import (
 )
 from .subject_resampling import sample_bootstrap_counts, worst_grades
 
-# Two-class tasks: grades of patient radiographs without and with osteoarthritis.
+# Two-class tasks: name -> grades of patient radiographs without and with osteoarthritis.
 CONTRASTS = {name: classes for name, classes in TASKS.items() if len(classes) == 2}
 # Name of Cohen's kappa in tables.
 KAPPA = "kappa"
@@ -26,7 +26,7 @@ GRADED_COLUMNS = [
     *("task", "model", "selection", "radiographs", "subjects"),
     *(f"{metric}{end}" for metric in (KAPPA, *METRICS) for end in ("", "_low", "_high")),
 ]
-# Key of the random stream of the bootstrap, after the seed of the study.
+# Key of the bootstrap random stream, combined with the seed of the study.
 _STREAM = 2**31 + 1
 # Smallest number of subjects per class for an interval; all bootstrap samples of a single subject are the same.
 _LEAST_SUBJECTS = 2
@@ -134,9 +134,9 @@ def _sample_bootstrap_counts(predictions: pd.DataFrame, replicates: int, seed: i
 
 
 def _make_interval_row(values: dict[str, Array], enough: dict[str, bool]) -> dict[str, float]:
-    """Make the columns of all metrics from their values on all radiographs and on the bootstrap samples.
+    """Make the table columns of all metrics from metric values on all radiographs and on the bootstrap samples.
 
-    The interval of a metric is NaN if `enough` is False for it.
+    The interval of a metric is NaN if `enough` is False for the metric.
     """
     row = dict[str, float]()
     for metric, of_samples in values.items():
@@ -156,8 +156,8 @@ def count_films_by_grade(films: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns: grade ("unknown" without a grade), films, found, and one column per other status. If there
-        are radiographs of two knees, the last column counts them; only one knee per radiograph is used. The last row is
+        Columns: grade ("unknown" without a grade), films, found, and one column per other status. If some radiographs
+        show two knees, the last column counts these radiographs; only one knee per radiograph is used. The last row is
         the total.
     """
     grades = films["grade"].map(lambda grade: "unknown" if pd.isna(grade) else str(int(grade)))

@@ -1,4 +1,4 @@
-"""Fitting of scikit-learn models without warnings about a change of solver."""
+"""Fitting of scikit-learn models without warnings about a solver change."""
 
 import warnings
 from typing import Any

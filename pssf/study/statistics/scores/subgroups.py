@@ -19,8 +19,8 @@ def score_subgroups(
 ) -> pd.DataFrame:
     """Score the predictions of each model within each subgroup.
 
-    The scores are means over the splits. For each subgroup, splits whose test subjects in the subgroup lack a grade are
-    omitted. A subgroup has no interval if its median number of test subjects is too small.
+    The scores are means over the splits. A split is omitted for a subgroup if its test subjects in the subgroup do not
+    include both grades. A subgroup has no interval if its median number of test subjects is too small.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def score_subgroups(
     parameters : DataFrame
         Knee parameters, from `extract_knee_parameters`; without sex and age there are no subgroups.
     settings : StudySettings
-        Settings of the study; only their feature selections are scored, not the baselines.
+        Settings of the study; only models with a feature selection in the settings are scored, not the baselines.
     ratio : float
         Ratio of test to training subjects.
 
@@ -51,7 +51,7 @@ def score_subgroups(
 
 
 def _find_groups(parameters: pd.DataFrame) -> dict[str, set[Any]]:
-    """Find the subjects of each subgroup: women, men, and subjects up to and over the median age."""
+    """Find the subjects of each subgroup: women, men, subjects up to the median age, and older subjects."""
     people, chosen = parameters.drop_duplicates("subject"), dict[str, pd.Series]()
     if "female" in people:
         chosen |= {"women": people["female"] > 0, "men": people["female"] == 0}

@@ -10,7 +10,7 @@ from ....core.checks import Array
 
 
 def worst_grades(subjects: Sequence[Any], grades: Sequence[int]) -> pd.Series:
-    """Find the highest grade of each subject, which is used as the grade of the subject.
+    """Find the highest grade of each subject, which serves as the grade of the subject.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def sample_bootstrap_counts(worst: pd.Series, *, replicates: int, seed: int, str
     seed : int
         Seed of the study.
     stream : int
-        Key of the random stream, after the seed.
+        Key of the random stream, combined with the seed.
 
     Returns
     -------

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 MIN_TEST_SUBJECTS = 6
 # Smallest number of test subjects per class; scores depend mainly on the subjects of the rarest class.
 MIN_TEST_SUBJECTS_PER_CLASS = MIN_TEST_SUBJECTS // 2
-# Columns of the number of test subjects and of the number of test subjects in the rarest class.
+# Columns with the number of test subjects and the number of test subjects in the rarest class.
 TEST_COUNT_COLUMNS = ["test_subjects", "test_rarest"]
 
 
