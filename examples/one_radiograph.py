@@ -6,7 +6,7 @@ import pssf
 
 
 def run(out: Path, pixels: int = 2048) -> list[Path]:
-    """Write a knee of KL 2 as TIFF and PNG; the detector has `pixels` x `pixels` pixels on a field of 307 mm."""
+    """Write a knee with KL grade 2 as TIFF and PNG. The detector has `pixels` x `pixels` pixels on 307 mm."""
     knee = pssf.sample_knee(grade=2, rng=7)
     reference = pssf.load_protocol("reference")
     protocol = reference.resample(pixels)

@@ -13,7 +13,7 @@ from pssf.cohort import make_cohort, plan_cohort, write_labels
 
 
 def run(out: Path, pixels: int = 1024) -> list[Path]:
-    """Make a cohort of KL 0, 2 and 4, and read its masks and labels; the detector has `pixels` x `pixels` pixels."""
+    """Make a cohort with KL grades 0, 2 and 4, and read its masks and labels. `pixels` is the detector size."""
     protocol = out / "mine.toml"
     size = f"rows = {pixels}\ncols = {pixels}\npixel_mm = {307.2 / pixels}\n"
     protocol.write_text(f'base = "fixed_flexion"\nname = "mine"\n{size}')
@@ -66,7 +66,8 @@ def print_folders(folder: Path) -> None:
     """Count the images per grade; `torchvision.datasets.ImageFolder(folder)` reads the same folders as classes."""
     counts = Counter(path.parent.name for path in folder.glob("*/*.png"))
     size = Image.open(next(folder.glob("*/*.png"))).size
-    print(f"images: {', '.join(f'{n} of KL {grade}' for grade, n in sorted(counts.items()))}; {size[0]} x {size[1]}")
+    by_grade = ", ".join(f"{n} with KL grade {grade}" for grade, n in sorted(counts.items()))
+    print(f"images: {by_grade}; {size[0]} x {size[1]}")
 
 
 def print_masks(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Sample the knee of one woman as KL 0, 2 and 4; show the medial joint space and the path length in cortical bone."""
+"""Sample the knee of one woman with KL grades 0, 2 and 4; draw its medial joint space and bone path length."""
 
 from pathlib import Path
 

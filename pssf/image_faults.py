@@ -101,13 +101,13 @@ def find_field_faults(path_mm: Mapping[str, Any], technique: Technique) -> list[
     if seen or not path_mm:
         return []
     return [
-        "the scene is outside the field of view; the image shows only the open beam; move the meshes of the scene "
+        "the scene is outside the field of view, so the image shows only the open beam; move the meshes of the scene "
         "towards the origin, or move the beam (centre_x_mm, centre_z_mm)"
     ]
 
 
 def find_saturation_faults(pixels: NDArray[np.uint16], scene: Scene, technique: Technique) -> list[str]:
-    """Check whether more than 0.1 % of the object's pixels are saturated, except for a margin along the outline.
+    """Check whether more than 0.1 % of the object's pixels are saturated; a margin along the outline is excluded.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def find_saturation_faults(pixels: NDArray[np.uint16], scene: Scene, technique: 
     if not fraction > _SATURATED:
         return []
     return [
-        f"{100 * fraction:.1f} % of the object's pixels are saturated ({MAX_DN} DN); saturated pixels contain no "
+        f"{100 * fraction:.1f} % of the object's pixels are saturated ({MAX_DN} DN) and contain no "
         f"information; reduce mas (now {technique.protocol.mas:g}) or tube_kv"
     ]
 
@@ -173,8 +173,8 @@ def find_landmark_faults(truths: Iterable[Truth], technique: Technique) -> list[
     named = ", ".join(outside[:_MAX_NAMED_LANDMARKS]) + (", ..." if len(outside) > _MAX_NAMED_LANDMARKS else "")
     where = "irradiated field" if is_collimated(technique.protocol) else "image"
     return [
-        f"{len(outside)} landmarks are outside the {where} ({named}); their labels are positions that the radiograph "
-        "does not show; enlarge the field or move the beam (centre_x_mm, centre_z_mm)"
+        f"{len(outside)} landmarks are outside the {where} ({named}), so the radiograph does not show the labelled "
+        "positions; enlarge the field or move the beam (centre_x_mm, centre_z_mm)"
     ]
 
 

@@ -61,7 +61,7 @@ KEEPABLE_MAPS = ("path_mm", "primary", "scatter", "noise_free", "masks")
 Subject = Knee | BuiltKnee | BuiltPair | Scene | tuple[Knee | BuiltKnee, Knee | BuiltKnee]
 # Text of the warning that the scatter kernel is not fitted to axial views.
 _AXIAL_KERNEL_WARNING = (
-    "scatter = 'kernel' is not fitted to axial views; scatter is about 30 % too high "
+    "scatter = 'kernel' is not fitted to axial views, in which scatter is about 30 % too high "
     "(docs/validation/views_and_quality.md); use scatter = 'monte_carlo', which is valid in every view"
 )
 
@@ -195,8 +195,8 @@ def _find_kernel_warnings(technique: Technique) -> list[KernelNotice]:
     least = " x ".join(f"{side:g}" for side in technique.kernel.full_field_mm)
     return [
         KernelNotice(
-            f"scatter = 'kernel' is not fitted to fields below {least} mm, got {width_mm:.0f} x {height_mm:.0f} mm;"
-            f" scatter at the joint is {off.low:g} to {off.high:g} times that of the Monte Carlo simulation; "
+            f"scatter = 'kernel' is not fitted to fields below {least} mm (got {width_mm:.0f} x {height_mm:.0f} mm) "
+            f"and gives {off.low:g} to {off.high:g} times the scatter of the Monte Carlo simulation at the joint; "
             "use scatter = 'monte_carlo', which is valid for every field"
         )
     ]

@@ -1,4 +1,4 @@
-"""Standard templates: noise-free radiographs of reference knees, with which joints on radiographs are localised."""
+"""Standard templates: noise-free radiographs of reference knees, used to localise joints on radiographs."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any

@@ -115,7 +115,7 @@ def make_cohort() -> Cohort:
 
 
 def select_text_subjects() -> pd.DataFrame:
-    """Select radiographs of grades 0 and 2 under the reference protocol; subject identifiers are strings."""
+    """Select radiographs with grades 0 and 2 under the reference protocol; subject identifiers are strings."""
     manifest = make_cohort().manifest
     part = manifest[(manifest["protocol"] == "reference") & (manifest["grade"] != 1)]
     return part.assign(subject=[f"P-{subject:02d}" for subject in part["subject"]])

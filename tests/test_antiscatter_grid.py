@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import pssf
+from pssf.scatter import antiscatter_grid
 from pssf.scatter.antiscatter_grid import Grid, compute_scatter_transmission, transmit_through_grid
 from pssf.xray.resolved_technique import resolve_technique
 from pssf.xray.spectrum import compute_beam
@@ -54,6 +55,29 @@ def test_higher_grid_ratios_and_smaller_air_gaps_transmit_less_scatter(technique
     assert ratios == sorted(ratios, reverse=True)
     assert gaps == sorted(gaps, reverse=True)
     assert all(0 < value < 1 for value in ratios + gaps)
+
+
+def test_scatter_transmission_agrees_with_traced_photons_of_uniform_radiance(technique, beam):
+    """The photons have the cosine distribution of uniform radiance; their paths in lead are summed in steps."""
+    grid, gap_mm, rng = Grid(), 20.0, np.random.default_rng(0)
+    at_60 = dataclasses.replace(beam, energies_kev=np.array([60.0]), photons_per_mm2=np.ones(1), signal_kev=np.ones(1))
+    sine, azimuth = np.sqrt(rng.random(60_000)), 2 * np.pi * rng.random(60_000)
+    across, along = sine * np.cos(azimuth), sine * np.sin(azimuth)
+    down, depth_mm = np.sqrt(1 - sine**2), gap_mm + antiscatter_grid._SCATTER_DEPTH_MM
+    from_limb = [
+        np.abs(slope / down) * depth_mm < half
+        for slope, half in zip((across, along), antiscatter_grid._EXIT_FACE_HALF_SIZE_MM, strict=True)
+    ]
+    across, down = across[np.logical_and(*from_limb)], down[np.logical_and(*from_limb)]
+    period_mm = 10.0 / grid.lines_per_cm
+    height_mm = grid.ratio * (period_mm - grid.lead_mm)
+    heights_mm = (np.arange(400) + 0.5) / 400 * height_mm
+    crossed_mm = rng.random((len(down), 1)) * period_mm + heights_mm * (across / down)[:, None]
+    lead_mm = (crossed_mm % period_mm < grid.lead_mm).mean(axis=1) * height_mm / down
+    lead, aluminium = antiscatter_grid._strip_attenuation_per_mm(at_60)[:, 0]
+    passed = np.exp(-lead * lead_mm - aluminium * (height_mm / down - lead_mm))
+    found = compute_scatter_transmission(grid, at_60, gap_mm, technique.material("muscle"))
+    assert abs(found - passed.mean()) < 4 * passed.std() / np.sqrt(len(passed))
 
 
 @pytest.mark.parametrize("setting", [{"ratio": 1.0}, {"lines_per_cm": np.nan}, {"lead_mm": 0.2, "lines_per_cm": 60.0}])

@@ -116,7 +116,7 @@ def test_a_mesh_is_trimmed_at_two_heights_within_its_extent():
     assert_allclose((used[:, 2].min(), used[:, 2].max()), (-5.0, 60.0), atol=1e-9)
     with pytest.raises(pssf.InputError, match="faces between 200 and inf mm, got 0"):
         trim_to_heights(make_shaft(95.0), 200.0, np.inf)
-    with pytest.raises(pssf.InputError, match="points within"):
+    with pytest.raises(pssf.InputError, match="got 0 and 0 points at 30 to 40 mm"):
         fit_similarity(sample_surface(make_ball(20.0)), sample_surface(make_ball(20.0)), heights_mm=(30.0, 40.0))
     with pytest.raises(pssf.InputError, match="got 0 mm2"):
         sample_surface(Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]])))

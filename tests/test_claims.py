@@ -185,7 +185,7 @@ def test_verdicts_match_a_strong_synthetic_signal():
     assert select_verdicts(found, "GLCM contrast") == {"holds"}
     # The feature is the mean of the linear signal, which decreases as the displayed brightness increases.
     assert select_verdicts(found, "First-order mean") == {"does not hold"}
-    assert select_verdicts(found, "Predicted grades of grade 1") == {"holds"}
+    assert select_verdicts(found, "Predicted grades of knees with grade 1") == {"holds"}
     assert select_verdicts(found, "The extreme grades") == {"holds"}
     assert select_verdicts(found, "A subset") == {"holds"}
     assert select_verdicts(found, "GLCM and GLSZM") == {"holds"}
@@ -216,7 +216,7 @@ def test_trends_are_undecided_when_grades_do_not_differ():
     assert len(trends) == 4
     # One of the four 95 % intervals may exclude zero by chance.
     assert (trends["verdict"] == "not decidable").sum() >= 3
-    assert select_verdicts(found, "Predicted grades of grade 1") == {"not decidable"}
+    assert select_verdicts(found, "Predicted grades of knees with grade 1") == {"not decidable"}
 
 
 def test_the_interval_width_of_a_trend_matches_fishers_z():

@@ -442,10 +442,10 @@ def test_a_worker_with_another_folder_library_or_code_raises_an_error(protocols,
     ("overrides", "match"),
     [
         ({"knees": [0, 0, 0]}, r"sum\(knees\) = 0"),
-        ({"knees": [-1, 0, 3]}, "knees of grade 0 must be .*, got -1"),
+        ({"knees": [-1, 0, 3]}, "knees with grade 0 must be .*, got -1"),
         ({"bilateral": 20}, "bilateral must be .*, got 20"),
         ({"retested": -1}, "retested must be .*, got -1"),
-        ({"protocols": ["reference", "reference"]}, "each once"),
+        ({"protocols": ["reference", "reference"]}, "different names"),
         ({"knee": [1]}, "did you mean 'knees'"),
     ],
 )

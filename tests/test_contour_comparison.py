@@ -121,7 +121,7 @@ def test_every_grade_is_compared_with_its_own_reference():
 
 
 def test_a_single_knee_or_an_unknown_grade_raises_an_error():
-    with pytest.raises(pssf.InputError, match="knees of grade 0 must be 2 or more, got 1"):
+    with pytest.raises(pssf.InputError, match="knees with grade 0 must be 2 or more, got 1"):
         landmark_comparison.compare_contours(make_contours(count=1), REFERENCE)
     with pytest.raises(pssf.InputError, match="one or more of 0, 1, 2, 3, 4, got 7"):
         landmark_comparison.compare_contours(

@@ -58,6 +58,18 @@ def test_a_cyst_has_its_size_and_is_inside_trabecular_bone(site):
         assert (find_centre(one.wall)[0] > 0) == (sides[0] == "medial")
 
 
+@pytest.mark.parametrize("site", SITES)
+def test_an_anterior_cyst_is_nearer_to_the_patella_than_a_posterior_one(site):
+    placed, _, assembly = place_bones_and_cysts(Knee(), Posture())
+    patella = find_centre(placed["patella"].outer)
+    far_mm = []
+    for place in (-1.0, 0.0, 1.0):
+        knee = Knee(cysts=(Cyst(site=site, diameter_mm=2.0, place=place),))
+        ((cyst,),) = place_cysts(knee, assembly, placed).values()
+        far_mm.append(abs(find_centre(cyst.wall) - patella)[1])
+    assert far_mm[0] + 2 < far_mm[1] < far_mm[2] - 2
+
+
 def test_cysts_do_not_overlap_and_keep_their_location_in_every_posture():
     bent, straight = (
         place_bones_and_cysts(WORN, posture) for posture in (pssf.load_protocol("fixed_flexion").posture, Posture())
@@ -97,7 +109,7 @@ def test_a_knee_with_cysts_has_no_faults_and_masks_within_bone():
 def test_invalid_cysts_are_rejected():
     with pytest.raises(InputError, match=r"diameter_mm must be .*, got 20"):
         Cyst(site="medial_tibia", diameter_mm=20.0)
-    with pytest.raises(InputError, match="cysts at medial_tibia must be at least"):
+    with pytest.raises(InputError, match="cysts at medial_tibia must differ by at least"):
         Knee(cysts=(Cyst(site="medial_tibia", diameter_mm=2.0), Cyst(site="medial_tibia", diameter_mm=3.0)))
     locations = list(itertools.product(SITES, (-0.6, 0.0)))
     many = tuple(Cyst(site=site, diameter_mm=2.0, place=at) for site, at in locations[:7])

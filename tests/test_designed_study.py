@@ -95,7 +95,7 @@ def test_designed_acquisitions_appear_in_the_tables_and_the_report(result):
     page = result.report.read_text(encoding="utf-8")
     assert all(f'<section id="{name}">' in page for name in ("curves", "sensitivity"))
     # The manifest names no grade table, so the report shows no ranges.
-    built = page[page.index("Parameters of the knees") : page.index("<h3>Methods")]
+    built = page[page.index("<h3>Knee parameters") : page.index("<h3>Methods")]
     assert "Sampled: mean" in built
     assert "There are no ranges per grade" in built
     assert not re.search(r"Range<|>same<", built)

@@ -110,7 +110,7 @@ def test_a_deprecated_option_gives_a_warning_and_sets_its_setting(tmp_path):
     done = run("study", "--films-pixel-mm", "0.5", "--out", tmp_path / "o")
     moved, error = done.stderr.splitlines()
     assert moved.startswith(
-        "pssf: --films-pixel-mm is now a setting of the settings file; the option will be removed; set films_"
+        "pssf: --films-pixel-mm is now a setting of the settings file, and the option will be removed; set films_"
     )
     assert error == "pssf: films must be a folder if films_pixel_mm is used, got films = none"
     done = run("study", "--strengths", "0,much", "--out", tmp_path / "o")

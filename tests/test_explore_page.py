@@ -486,7 +486,7 @@ def test_the_page_lists_differences_between_current_and_pinned_image(page):
     act(page, lambda: set_number(page, "mas", 4, "#exposure"))
     assert page.inner_text("#compared") == "The current image differs from the pinned image in current-time product."
     page.select_option("#compare", "difference")
-    assert "Orange: current larger" in page.inner_text("#compared")
+    assert "larger (orange), smaller (blue)" in page.inner_text("#compared")
     page.select_option("#compare", "b")
 
 

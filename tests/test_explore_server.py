@@ -431,7 +431,7 @@ def test_hostile_or_malformed_requests_get_a_one_line_error(what, site):
             {"protocol": protocol_to_dict(make_small_protocol()) | {"knee_distance_mm": 210.0}},
             "must be 0 mm on the page, got 210 mm",
         ),
-        ({"protocol": {}}, ", got no 'name'"),
+        ({"protocol": {}}, "; 'name' is missing"),
         ({"seed": -1}, ", got -1"),
         ({"seed": "1e9"}, ", got '1e9'"),
         ({"processing": "xray"}, "processing"),

@@ -28,7 +28,7 @@ ALL = StudySettings(models=("lr", "rf", "xgb"), selections=("l1", "mrmr"), repea
 
 
 def make_feature_table(per_grade: int, *, noise: float = 0.5, seed: int = 0) -> pd.DataFrame:
-    """Return features of subjects of grades 0, 1 and 2 under two protocols; `glcm_a` rises with grade."""
+    """Return features of subjects with grades 0, 1 and 2 under two protocols; `glcm_a` rises with grade."""
     rng = np.random.default_rng(seed)
     rows = []
     for subject in range(3 * per_grade):

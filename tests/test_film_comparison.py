@@ -145,7 +145,7 @@ def test_shape_features_measure_the_gap_and_the_notch():
 
 
 @pytest.mark.parametrize(("side", "size", "pixel_mm"), [("left", 1.0, 0.3), ("right", 1.1, 0.3), ("right", 1.0, 0.2)])
-def test_normalised_films_do_not_depend_on_side_size_and_pitch(side, size, pixel_mm):
+def test_normalised_films_do_not_depend_on_side_size_or_pitch(side, size, pixel_mm):
     one, other = render_knee(), render_knee(pixel_mm=pixel_mm, side=side, size=size, rows=760, cols=760)
     first = centre_on_joint(one, locate_centre(one, 0.3))
     second = centre_on_joint(other, locate_centre(other, pixel_mm, side, size))

@@ -27,7 +27,7 @@ def test_a_notch_between_box_condyles_has_its_depth_and_width(lower):
     depth = 20 - lower / 2
     assert found["notch's depth, from in front"] == pytest.approx(depth / 80, abs=0.05 / 80)
     assert found["notch's width at half its depth"] == pytest.approx(16 / 80, abs=2 * PITCH_MM / 80)
-    assert found["notch's depth over that width"] == pytest.approx(depth / 16, abs=depth / 16 * 2 * PITCH_MM / 15)
+    assert found["ratio of notch depth to notch width"] == pytest.approx(depth / 16, abs=depth / 16 * 2 * PITCH_MM / 15)
 
 
 def test_the_eminence_is_measured_along_the_sloping_plateau():

@@ -181,7 +181,7 @@ def test_an_unknown_grade_or_grade_table_is_rejected():
         pssf.sample_knee(grade=3, rng=np.random.default_rng(1), grade_table="paper")
     with pytest.raises(InputError, match="grade_table must be paper, population"):
         pssf.sample_knee(grade=0, rng=np.random.default_rng(1), grade_table="nobody")
-    with pytest.raises(InputError, match="got knees of grade 3: grade table population has grade 3"):
+    with pytest.raises(InputError, match="got knees with grade 3: grade table population has grade 3"):
         plan_cohort("quick", seed=1, overrides={"knees": [1, 1, 1, 1], "grade_table": "paper"})
 
 

@@ -40,7 +40,7 @@ ERRORS = ("InputError", "ValueError", "TypeError")
 ENTRY_POINTS = {
     "cli/*": "*",
     "validation/*": "*",
-    # Functions that convert table names to the records that formulas need.
+    # Functions that accept a table name and load the record that the formulas use.
     "anatomy/posture/knee_assembly.py": "load_jsw_protocol",
     "model/sampling/knee_sampling.py": "load_knee_distributions",
     "model/kellgren_lawrence.py": "require_grade",

@@ -256,6 +256,13 @@ def test_the_mtf_of_the_caesium_iodide_panel_matches_published_values(per_mm):
     assert low <= detector_blur.compute_transfer(CSI, np.array([per_mm]))[0] <= high
 
 
+def test_the_dqe_of_the_caesium_iodide_panel_falls_with_frequency_as_published():
+    # Between Samei 2003 and Marshall 2011: 0.68 at 0, 0.6 at 0.5, 0.5 at 1 and 0.3 at 2 per mm.
+    per_mm = np.array([0.5, 1.0, 2.0])
+    mtf, ntf = (detector_blur.compute_transfer(CSI, per_mm, curve) for curve in ("mtf", "ntf"))
+    assert_allclose(0.68 * (mtf / ntf) ** 2, [0.6, 0.5, 0.3], atol=0.05)
+
+
 def test_the_focal_spot_blurs_by_its_magnified_width():
     protocol = dataclasses.replace(pssf.load_protocol("reference"), pixel_mm=0.01)
     edge = np.where(np.arange(400) < 200, 1.0, 0.0).astype(np.float32)[None, :] * np.ones((40, 1), np.float32)

@@ -26,7 +26,7 @@ SETTINGS = StudySettings(repeats=10, selections=("l1",), models=("lr",))
 
 
 def make_predictors(seed: int, *, texture: float, subjects: int = 120, narrowed: float = 0.8) -> pd.DataFrame:
-    """Make predictors for knees of grades 0 and 2; JSW and one texture feature depend on the grade."""
+    """Make predictors for knees with grades 0 and 2; JSW and one texture feature depend on the grade."""
     rng = np.random.default_rng(seed)
     grade = 2 * (rng.permutation(subjects) % 2)
     narrow = 4.5 - narrowed * (grade == 2) + 0.5 * rng.normal(size=subjects)

@@ -61,6 +61,7 @@ def test_the_mean_macro_f1_of_small_test_sets_is_below_its_limit():
     assert mean_macro_f1(accuracy, (3, 3)) < limit == pytest.approx(mean_macro_f1(accuracy, (400, 400)), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_the_coverage_table_has_every_measure_at_every_distance():
     rows = measure_interval_coverage(workers=1, cohorts=2)
     assert len(rows) == 3 * 7
@@ -70,6 +71,7 @@ def test_the_coverage_table_has_every_measure_at_every_distance():
     assert rows[-1]["true_auc"] > 0.8
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth_when_models_are_retrained():
     found = count_missed_intervals(2.0, MINIMUM_SUBJECTS, 30)
     assert (found.drop(["bootstrap", "no width"]) <= compute_maximum_misses(30)).all(), found
@@ -78,6 +80,7 @@ def test_intervals_cover_the_truth_when_models_are_retrained():
     assert found["no width"] <= 1
 
 
+@pytest.mark.slow
 def test_intervals_cover_the_truth_with_three_test_subjects_per_grade():
     found = count_missed_intervals(2.0, UNBALANCED_SUBJECTS, 30)
     assert (found.drop(["bootstrap", "no width"]) <= compute_maximum_misses(30)).all(), found

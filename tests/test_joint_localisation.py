@@ -434,7 +434,7 @@ def test_invalid_arguments_raise_an_error():
         locate_joint(film, [TEMPLATE], TABLE, side="up")
     with pytest.raises(InputError, match="pixel_mm"):
         locate_joint(film, [TEMPLATE], TABLE, pixel_mm=0.0)
-    with pytest.raises(InputError, match="templates must include one without severe osteoarthritis"):
+    with pytest.raises(InputError, match="templates must include a knee without severe osteoarthritis"):
         locate_joint(film, [], TABLE)
     with pytest.raises(InputError, match="plateau_mm = None"):
         locate_joint(film, [Template(pixels=TEMPLATE.pixels, row=160, col=180, pixel_mm=PIXEL_MM)], TABLE)

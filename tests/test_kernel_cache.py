@@ -175,26 +175,6 @@ def test_a_function_without_a_source_file_has_no_cache():
     assert isinstance(make_kernel_cache(made["nowhere"]), NullCache)
 
 
-def test_a_simulation_succeeds_with_damaged_cache_files(tmp_path):
-    """Run the command line with an empty cache, then with empty index files, then with empty code files."""
-    settings = ["rows=64", "cols=64", "pixel_mm=4.8", "scatter=none", "texture=none", "noise=none"]
-    command = [sys.executable, "-m", "pssf", "simulate", "--engine", "scanline", "--formats", "tif", "--workers", "1"]
-    command += [word for setting in settings for word in ("--set", setting)]
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
-    pixels = []
-    for suffix, name in ((None, "one"), ("nbi", "two"), ("nbc", "three")):
-        for file in (tmp_path / "cache").rglob(f"*.{suffix}"):
-            file.write_bytes(b"")
-        whole = [*command, "--out", str(tmp_path / name)]
-        done = subprocess.run(whole, env=environment, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, done.stderr
-        # The only output is the line about the compilation of kernels.
-        assert [line[:15] for line in done.stderr.splitlines()] == ["pssf: compiling"]
-        (made,) = (tmp_path / name).iterdir()
-        pixels.append(made.read_bytes())
-    assert pixels[0] == pixels[1] == pixels[2]
-
-
 REPAIR = """
 import numpy as np
 from pssf.geometry.mesh_repair import repair_mesh
@@ -233,6 +213,19 @@ def test_the_first_compilation_after_an_installation_logs_one_line(tmp_path):
     assert "once after an installation" in cold
     assert cold.count("\n") == 1
     assert warm == ""
+
+
+def test_damaged_cache_files_are_replaced_without_an_error(tmp_path):
+    """Empty first every index, then all compiled code."""
+    capture_standard_error(f"{REPAIR}\nrepair()", tmp_path)
+    for suffix in ("nbi", "nbc"):
+        files = list(tmp_path.rglob(f"*.{suffix}"))
+        assert files
+        for file in files:
+            file.write_bytes(b"")
+        log = capture_standard_error(f"{REPAIR}\nrepair()", tmp_path)
+        assert [line[:15] for line in log.splitlines()] == ["pssf: compiling"]
+    assert capture_standard_error(f"{REPAIR}\nrepair()", tmp_path) == ""
 
 
 def test_the_compilation_message_can_be_switched_off_by_its_logger(tmp_path):

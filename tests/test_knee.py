@@ -118,7 +118,7 @@ def test_the_place_of_a_spine_osteophyte_must_be_0():
         Osteophyte(site="medial_spine", size_mm=2.0, place=0.5)
 
 
-def test_osteophyte_place_and_curve_survive_conversion_to_a_dictionary():
+def test_osteophyte_position_and_curvature_survive_dict_conversion():
     osteophyte = Osteophyte(site="medial_tibia", size_mm=7.0, place=-0.25, curve_deg=30.0)
     assert knee_from_dict(knee_to_dict(Knee(osteophytes=(osteophyte,)))).osteophytes == (osteophyte,)
 

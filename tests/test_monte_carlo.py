@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import numba
 import numpy as np
 import pytest
 import trimesh
@@ -85,6 +86,31 @@ def test_voxels_have_the_same_location_as_the_scene():
 def test_an_invalid_voxel_size_raises_an_error(size):
     with pytest.raises(pssf.InputError, match=r"^voxel_mm (=|must be) "):
         voxelise_scene(build_slab(120.0), voxel_mm=size)
+
+
+@numba.njit
+def emit_photons(count, stream, setup):
+    photon, weights = np.zeros(7), np.zeros(count)
+    for number in range(count):
+        weights[number] = photon_transport._emit_photon(photon, stream, setup)
+    return weights
+
+
+def test_emitted_photons_fill_the_solid_angle_of_the_window():
+    distance_mm, half_mm, photons = 500.0, (400.0, 250.0), 20_000
+    voxels = voxelise_scene(build_slab(10.0))
+    setup = photon_transport.TransportSetup(
+        source=np.zeros(3), detector_y_mm=distance_mm,
+        window=np.array([-half_mm[0], half_mm[0], -half_mm[1], half_mm[1]]), field=np.zeros(5),
+        energies=np.array([60.0]), energy_cdf=np.ones(1), weights=np.ones(1),
+        material=voxels.index, origin=voxels.origin_mm, size=voxels.size_mm,
+    )  # fmt: skip
+    weights = emit_photons(photons, seed_generator(3), setup)
+    # A source emits 1e6 photons per steradian if the fluence at 1 m is one photon per mm2.
+    x, z = half_mm
+    solid_angle = 4 * np.arctan(x * z / (distance_mm * np.sqrt(distance_mm**2 + x**2 + z**2)))
+    found = weights * 4 * x * z / 1e6
+    assert abs(found.mean() - solid_angle) < SIGMAS * found.std() / np.sqrt(photons)
 
 
 @pytest.mark.parametrize("kev", [20.0, 60.0, 120.0])

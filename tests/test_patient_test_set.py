@@ -53,7 +53,7 @@ def test_rejected_films_are_counted_by_reason_without_a_probability(film_study, 
         assert f">{reason}</th>" in page
 
 
-def test_films_are_scored_for_each_contrast_of_available_grades(film_study, listed):
+def test_films_are_scored_for_each_comparison_of_available_grades(film_study, listed):
     scores = pd.read_csv(film_study.tables["films_scores"]).set_index("contrast")
     assert list(scores.index) == ["0 vs 2", "0 vs 3+4"]
     for contrast, grade in (("0 vs 2", 2), ("0 vs 3+4", 3)):
@@ -202,7 +202,7 @@ def test_the_signal_does_not_depend_on_the_tone_curve_of_the_display(tone):
     )
 
 
-def test_a_display_is_converted_to_signal_by_the_template_histogram():
+def test_a_display_image_is_converted_to_signal_by_template_histogram():
     region = np.random.default_rng(0).random((40, 40))
     signal = match_template_histogram(region, block_knee_cohort.TEMPLATE, 0.6)
     order = np.argsort(region.ravel())

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import pssf
+from pssf.anatomy import built_knee
 from pssf.core.processes.parallel_map import map_in_parallel
 
 TINY = {"rows": 64, "cols": 64, "pixel_mm": 4.8}
@@ -83,9 +84,13 @@ def test_a_pickled_pair_of_knees_gives_the_same_radiograph():
 
 
 def test_an_osteophyte_inside_the_bone_has_an_empty_mask(left, protocol, monkeypatch):
-    whole = pssf.BuiltKnee.osteophyte_meshes
+    select = built_knee.select_osteophyte_faces
     none = pssf.geometry.mesh.Mesh(np.empty((0, 3)), np.empty((0, 3), np.int64))
-    monkeypatch.setattr(pssf.BuiltKnee, "osteophyte_meshes", lambda self: whole(self) | {"medial_spine": none})
+
+    def select_with_empty(knee, assembly):
+        return select(knee, assembly) | {"medial_spine": none}
+
+    monkeypatch.setattr(built_knee, "select_osteophyte_faces", select_with_empty)
     masks = pssf.simulate(left, protocol, engine="scanline", keep=("masks",)).truth.masks
     assert not masks["medial_spine_osteophyte"].any()
     assert masks["medial_tibia_osteophyte"].any()

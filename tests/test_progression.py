@@ -106,7 +106,7 @@ def test_jsw_loss_thresholds_agree_with_the_population_table():
 
 
 @pytest.mark.parametrize("grade", range(5))
-def test_notch_growth_and_effusion_increase_at_the_rate_of_the_grade(grade):
+def test_notch_growth_and_effusion_increase_at_the_grade_specific_rate(grade):
     law, count = load_progression_rates(), 400
     later = [pssf.progress(make_knee(grade), 1.0, np.random.default_rng(seed)) for seed in range(count)]
     for name, (mean, sd) in (("notch_growth_mm", law.notch_mm[grade]), ("effusion_mm", law.swelling_mm[grade])):

@@ -139,6 +139,6 @@ def test_loading_a_foreign_image_raises_an_error_that_names_alternatives(tmp_pat
 
 def test_loading_a_presentation_png_raises_an_error_with_a_remedy(radiograph, tmp_path):
     path = pssf.save(radiograph, tmp_path / "one.png")
-    with pytest.raises(pssf.InputError, match="PNG for presentation, without linear pixels: use load_parameters"):
+    with pytest.raises(pssf.InputError, match="PNG for presentation, which has no linear pixels: use load_parameters"):
         pssf.load(path)
     assert pssf.load_parameters(path)["knee"] == radiograph.knee

@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from manifold3d import Manifold
@@ -11,9 +12,11 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf import anatomy, raycast
+from pssf.anatomy.labels.osteophyte_faces import _split_faces_by_site
 from pssf.anatomy.labels.radiograph_labels import _split_by_site
 from pssf.anatomy.outlines.contour_landmarks import TIBIAL_LANDMARKS
 from pssf.anatomy.outlines.projected_contours import COMPARTMENT_RANGE
+from pssf.geometry.mesh import Mesh
 from pssf.geometry.view import magnification, project_points, resolve_view
 
 REFERENCE = pssf.load_protocol("reference")
@@ -79,10 +82,9 @@ def test_joint_space_labels_equal_the_projected_gaps(view, table, grade, seed, v
     rng = np.random.default_rng(seed)
     knee = pssf.sample_knee(grade=min(grade, table[1]), rng=rng, grade_table=table[0])
     protocol = pssf.load_protocol(view)
-    built = pssf.build(knee, protocol)
     if varied:
         protocol = pssf.sample_acquisition(protocol, rng=rng)
-        built = pssf.build(knee, protocol)
+    built = pssf.build(knee, protocol)
     protocol = built.aim_beam(protocol)
     truth = built.truth(protocol)
     for side in ("medial", "lateral"):
@@ -187,6 +189,43 @@ def test_masks_of_a_left_knee_mirror_those_of_a_right_knee(grown):
         assert mesh.as_trimesh().volume > 0
         silhouette = raycast.compute_silhouette(mesh, grown.protocol)
         assert (silhouette[:, ::-1] == grown.truth.masks[f"{site}_osteophyte"]).mean() > 0.9999
+
+
+@pytest.mark.parametrize("grade", [2, 3, 4])
+def test_osteophyte_masks_agree_with_the_silhouettes_of_the_added_bone(grade):
+    protocol = pssf.load_protocol("fixed_flexion").resample(1024)
+    built = pssf.build(pssf.sample_knee(grade=grade, rng=10 * grade), protocol)
+    protocol = built.aim_beam(protocol)
+    faces, solids = built.mask_meshes(), built.osteophyte_meshes()
+    assert solids
+    for site, solid in solids.items():
+        # The osteophytes are far from the cut ends of the shafts.
+        assert np.abs(solid.vertices[:, 2]).max() < 80
+        mask = raycast.compute_face_silhouette(faces[f"{site}_osteophyte"], resolve_view(protocol))
+        silhouette = raycast.compute_silhouette(solid, protocol)
+        assert (mask != silhouette).sum() <= 3 + 0.05 * silhouette.sum(), site
+
+
+def test_surgery_changes_only_the_masks_of_osteophytes_that_it_cuts(built):
+    tip_mm = built.osteophyte_meshes()["medial_tibia"].vertices.mean(axis=0)
+    box = trimesh.creation.box((8.0, 8.0, 8.0)).apply_translation(tip_mm)
+    before, after = built.mask_meshes(), built.resect(box).mask_meshes()
+    for name in ("lateral_femur_osteophyte", "medial_tibia_osteophyte"):
+        same = name in after and np.array_equal(before[name].vertices, after[name].vertices)
+        assert same == name.startswith("lateral")
+
+
+def test_faces_of_merged_osteophytes_are_split_between_their_tips():
+    # The tips of two sites are in the first box; the second box is nearest to the tip of a third site.
+    box = trimesh.creation.box((10.0, 2.0, 2.0)).apply_translation((5.0, 1.0, 1.0))
+    far = trimesh.creation.box((3.0, 2.0, 2.0)).apply_translation((31.5, 1.0, 1.0))
+    both = trimesh.util.concatenate([box, far])
+    tips = np.array([[1.0, 1.0, 1.0], [4.0, 1.0, 1.0], [8.0, 1.0, 1.0], [40.0, 1.0, 1.0]])
+    sites = ["medial_spine", "medial_spine", "lateral_spine", "medial_tibia"]
+    parts = _split_faces_by_site(Mesh(both.vertices, both.faces), sites, tips)
+    ends = {site: (mesh.vertices[:, 0].min(), mesh.vertices[:, 0].max()) for site, mesh in parts.items()}
+    expected = {"medial_spine": (0.0, 6.0), "lateral_spine": (6.0, 10.0), "medial_tibia": (30.0, 33.0)}
+    assert ends == {site: pytest.approx(range_mm) for site, range_mm in expected.items()}
 
 
 def test_masks_are_made_only_on_request_and_only_for_a_knee(built, scene):

@@ -18,15 +18,14 @@ from pssf.validation.study_methods.random_label_test import (
 
 def test_claims_of_the_study_rarely_hold_for_random_labels():
     # Each measure supports a false claim in 2.5 % of cohorts; a claim has two to four, mostly correlated measures.
-    rows = count_false_claims(1, cohorts=3)
+    rows = count_false_claims(1, cohorts=1)
     found = np.array([row["held"] for row in rows])
     assert len(found) == 13
-    assert found.sum() <= binom.ppf(0.999, 3 * len(found), 0.05)
-    assert (found < 3).all()
+    assert found.sum() <= binom.ppf(0.999, len(found), 0.05)
     # Refuted and undecided claims are counted separately: random labels refute a high AUC, but rarely a trend.
     refuted = {str(row["claim"]): row["refuted"] for row in rows}
-    assert refuted["Models discriminate grades 0 and 2 well within a protocol"] == 3
-    assert sum(of for claim, of in refuted.items() if " with grade" in claim) < 3 * 6 / 2
+    assert refuted["Models discriminate grades 0 and 2 well within a protocol"] == 1
+    assert sum(of for claim, of in refuted.items() if " with grade" in claim) < 6 / 2
 
 
 @pytest.mark.slow

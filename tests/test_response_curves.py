@@ -29,7 +29,7 @@ def find_step_value(axis: str, turn: int) -> float:
 def make_cohort(
     seed: int = 0, subjects: int = 80, curved: int = 32, noise: float = 0.25
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Make a cohort of grades 0 and 2, and repeat some knees at every dose with noise of variance 1/dose."""
+    """Make a cohort with grades 0 and 2, and repeat some knees at every dose with noise of variance 1/dose."""
     rng = np.random.default_rng(seed)
     grade = 2 * (np.arange(subjects) % 2)
     base = pd.DataFrame({"knee": range(subjects), "subject": range(subjects), "grade": grade})

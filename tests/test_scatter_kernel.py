@@ -231,7 +231,7 @@ def test_the_small_field_warning_starts_below_clinical_field_sizes(small):
         assert known.find_small_field_bias(width_mm, height_mm).side_mm == side_mm
     crop = dataclasses.replace(small, rows=64, cols=64)
     scene = pssf.Scene([pssf.Surface(trimesh.creation.box((60, 60, 60)), "muscle", "air")])
-    with pytest.warns(pssf.KernelNotice, match=r"a field of 77 x 77 mm.* is 0\.36 to 0\.97 times that"):
+    with pytest.warns(pssf.KernelNotice, match=r"got 77 x 77 mm.* 0\.36 to 0\.97 times the scatter"):
         pssf.simulate(scene, crop, engine="scanline")
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -122,7 +122,7 @@ def test_tuned_values_are_counted_by_split_in_order_of_frequency():
 def test_image_processing_is_described_only_for_measured_families():
     everything = describe_processing(512, 64, ("firstorder", "shape2D", *TEXTURES))
     assert set(everything["texture"]) == set(TEXTURES)
-    assert "64 equal bins" in everything["discretisation"]
+    assert "64 bins of equal width" in everything["discretisation"]
     assert "512 x 512" in everything["segmentation"]
     plain = describe_processing(512, 64, ("firstorder",))
     assert not {"texture", "discretisation", "bone"} & set(plain)

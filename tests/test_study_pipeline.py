@@ -198,7 +198,7 @@ def test_the_error_for_invalid_repeats_names_the_fault(tmp_path):
             retest.assign(sha256=retest["sha256"].iloc[0]),
             r"must have its own file, got sha256 = .*\(7 rows affected\)",
         ),
-        (retest.assign(knee=99), r"must be of a knee in the manifest, got knee = 99 \(8 rows affected\)"),
+        (retest.assign(knee=99), r"must show a knee in the manifest, got knee = 99 \(8 rows affected\)"),
         (retest.assign(subject=14), "retest manifest: knee 0 must have one subject, got 0 and 14"),
         (retest.assign(grade=2), "retest manifest: knee 0 must have one grade, got 0 and 2"),
         (retest.assign(knee=1 - retest["knee"]), "retest manifest: knee 0 must have one subject, got 0 and 1"),
@@ -236,7 +236,7 @@ def test_a_cohort_of_one_protocol_and_two_grades_has_a_report(tmp_path):
     page = found.report.read_text(encoding="utf-8")
     assert "reliability cannot be computed" in page
     assert "There are no external data" in page
-    assert "no knees of grades 0, 1 and 2" in page
+    assert "no knees with grades 0, 1 and 2" in page
 
 
 def test_the_error_for_an_invalid_manifest_names_the_fault(tmp_path):

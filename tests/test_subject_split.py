@@ -58,7 +58,7 @@ def test_subject_identifiers_may_be_strings():
 
 
 def test_grades_with_too_few_subjects_are_excluded_on_request():
-    # Subject 8 has knees of grades 1 and 2 and counts as grade 2, so grade 1 has two subjects.
+    # Subject 8 has knees with grades 1 and 2 and counts as grade 2, so grade 1 has two subjects.
     table = pd.DataFrame(
         {"subject": [0, 1, 2, 3, 3, 4, 4, 5, 6, 7, 8, 8], "grade": [0, 0, 0, 1, 1, 1, 1, 2, 2, 2, 1, 2]}
     )

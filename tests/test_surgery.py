@@ -280,8 +280,8 @@ def test_a_resected_osteophyte_has_no_mask():
     whole = build_knee("left")
     vertices = whole.osteophyte_meshes()["medial_tibia"].vertices
     low, high = vertices.min(axis=0) - 0.5, vertices.max(axis=0) + 0.5
-    assert "medial_tibia_osteophyte" in whole.solids()
-    assert "medial_tibia_osteophyte" not in whole.resect(make_box(low, high), name="trim").solids()
+    assert "medial_tibia_osteophyte" in whole.part_meshes()
+    assert "medial_tibia_osteophyte" not in whole.resect(make_box(low, high), name="trim").part_meshes()
 
 
 def test_a_partly_resected_osteophyte_has_a_smaller_mask_and_no_grade():
@@ -290,7 +290,7 @@ def test_a_partly_resected_osteophyte_has_a_smaller_mask_and_no_grade():
     # The x axis points laterally in a left knee, so the smallest x is medial.
     tip = mesh.vertices[mesh.vertices[:, 0].argmin()]
     after = whole.resect(make_box(tip - 1.5, tip + 1.5), name="trim")
-    left = after.solids()["medial_tibia_osteophyte"]
+    left = after.part_meshes()["medial_tibia_osteophyte"]
     assert 0 < left.as_trimesh().volume < 0.99 * mesh.as_trimesh().volume
     before, truth = (built.truth(make_protocol()) for built in (whole, after))
     assert set(before.readings) - set(truth.readings) == {"XROSTM"}
@@ -403,7 +403,7 @@ def test_an_inverted_implant_is_flipped_with_a_warning():
         (
             trimesh.util.concatenate([make_box((0, 0, 0), (5, 5, 5)), make_box((3, 3, 3), (8, 8, 8))]),
             {},
-            "do not overlap",
+            "must not overlap",
         ),
         (make_box((0, 0, 0), (5, 5, 5)), {"name": "femur"}, "name must be unused in the knee"),
         (make_box((0, 0, 0), (5, 5, 5)), {"name": "medial_tibia_osteophyte"}, "name must be 1 to 50"),

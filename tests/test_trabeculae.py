@@ -310,7 +310,7 @@ def test_sclerosis_increases_subchondral_density_mainly_medially():
         for z in (-5.5, -80.0)
     }
     assert 1.25 < rise[23.0, -5.5] < 1.47  # Rapagna 2021: 1.47 directly below the subchondral plate
-    # On patient radiographs of KL 3 and 4 the tibia is brighter on both sides (trabeculae.toml).
+    # On patient radiographs with KL grade 3 or 4, the tibia is brighter on both sides (trabeculae.toml).
     assert 1.1 < rise[-23.0, -5.5] < rise[23.0, -5.5]
     assert all(1.0 <= rise[at, -80.0] < 1.02 for at in (23.0, -23.0))
     # Sclerosis extends deeper than the normal increase below the plateau.

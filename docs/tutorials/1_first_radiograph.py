@@ -49,16 +49,16 @@ print(radiograph)
 # Linear pixels and display image
 # -------------------------------
 #
-# ``radiograph.pixels`` are *for processing*: 16 bits, linear in the absorbed energy, air bright. Use these pixels for
-# measurements. ``render_for_display`` makes the image *for presentation*: bone bright, with the contrast of a clinical
-# system.
+# ``radiograph.pixels`` are *for processing*: 16 bits, linear in the absorbed energy, with bright air. Use these pixels
+# for measurements. ``render_for_display`` makes the image *for presentation*: with bright bone and the contrast of a
+# clinical system.
 
 shown = pssf.render_for_display(radiograph, processing="processed")
 figure, axes = plt.subplots(1, 2, figsize=(9, 4.6), layout="constrained")
 axes[0].imshow(radiograph.pixels, cmap="gray")
-axes[0].set_title("for processing: linear, air bright")
+axes[0].set_title("for processing: linear, bright air")
 axes[1].imshow(shown, cmap="gray")
-axes[1].set_title("for presentation: bone bright")
+axes[1].set_title("for presentation: bright bone")
 for one in axes:
     one.set_axis_off()
 

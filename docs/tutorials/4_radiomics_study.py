@@ -119,7 +119,7 @@ axis.set_axis_off()
 # -------------
 #
 # On the command line, ``quick`` has 24 knees under three protocols and takes some minutes. ``paper`` has the 780
-# radiographs of the paper. ``population`` has 250 subjects of KL 0 to 4:
+# radiographs of the paper. ``population`` has 250 subjects with KL grades 0 to 4:
 #
 # .. code-block:: console
 #

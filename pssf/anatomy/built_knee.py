@@ -306,7 +306,7 @@ class BuiltKnee(SurgicalMethods):
         return {name: faces.get(name, mesh) if mesh is before.get(name) else mesh for name, mesh in after.items()}
 
     def _collect_parts(self, osteophytes: dict[str, Mesh]) -> dict[str, Mesh]:
-        """Collect the meshes of the bones of the scene, of osteophytes by site, and of cysts, keyed by mask name."""
+        """Collect meshes by mask name: the bones of the scene, the osteophytes at each site, and the cysts."""
         parts = {surface.name: surface.mesh_arrays for surface in self.scene.surfaces if surface.name in BONES}
         parts |= {f"{site}_osteophyte": mesh for site, mesh in osteophytes.items()}
         return parts | {f"{site}_cyst": mesh for site, mesh in self.cyst_meshes().items()}

@@ -176,8 +176,9 @@ def _compute_baselines(
     study_results.save_table(out / "baselines.csv", baselines)
     notes = [f"Small CNN: {reason}"] if reason else []
     if not all(tested.has_enough_test_subjects(row) for row in baselines.to_dict("records")):
-        few = f"fewer than {tested.MIN_TEST_SUBJECTS} subjects or {tested.MIN_TEST_SUBJECTS_PER_CLASS} of a grade"
-        notes.append(f"Some test subsets have {few}; this is too few to compare methods")
+        least, per_grade = tested.MIN_TEST_SUBJECTS, tested.MIN_TEST_SUBJECTS_PER_CLASS
+        few = f"fewer than {least} subjects, or fewer than {per_grade} subjects of a grade"
+        notes.append(f"Some test subsets have {few}; these numbers are too small to compare methods")
     return baselines, len(table) - len(usable), tuple(notes)
 
 

@@ -125,7 +125,7 @@ def _replace_renamed_options(arguments: list[str]) -> list[str]:
             now = _RENAMED_OPTIONS.get(name, name)
             value = _RENAMED_VALUES.get((now, value), value)
         if now != name:
-            print(f"pssf: {name} was renamed to {now}; the former name will be removed", file=sys.stderr)
+            print(f"pssf: {name} was renamed to {now}, and the former name will be removed", file=sys.stderr)
         named.append(now + equals + value)
     return named
 
@@ -190,7 +190,7 @@ def _report_error(error: Exception) -> int:
     if by_parser is None and not isinstance(error, InputError):
         raise error
     message: str = by_parser() if by_parser else str(error)
-    if by_parser and message.startswith("Usage:"):  # Without a command, the message is the help text.
+    if by_parser and message.startswith("Usage:"):  # If no command is given, the error message is the help text.
         print(message, file=sys.stderr)
         return 2
     message = format_one_line(message)

@@ -10,7 +10,9 @@ from .shared_options import Out, Processes
 
 
 def features(
-    folder: Annotated[Path, typer.Argument(help="Folder of images: PNG, JPEG, TIFF or DICOM of 8 to 16 bit.")],
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of PNG, JPEG, TIFF or DICOM images with 8 to 16 bits per pixel.")
+    ],
     *,
     out: Out,
     workers: Processes,
@@ -56,8 +58,8 @@ def features(
     whole = int((measured["mask"] == WHOLE_IMAGE).sum())
     if whole:
         print(
-            f"pssf: {whole} of {len(measured)} images have no mask; all their pixels are measured; to measure a "
-            "region, add a mask X_mask.png",
+            f"pssf: {whole} of {len(measured)} images have no mask, so all their pixels are measured; to measure "
+            "a region, add a mask X_mask.png",
             file=sys.stderr,
         )
     path = out / "features.csv"

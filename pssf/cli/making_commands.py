@@ -214,7 +214,7 @@ def cohort(
     ] = "",
     grade_table: CohortGrades = "",
     acquisition: Annotated[
-        str, typer.Option(help="fixed or sampled; sampled varies every acquisition; default: as in the preset.")
+        str, typer.Option(help="fixed, or sampled to vary every acquisition; default: as in the preset.")
     ] = "",
     masks: Annotated[bool, typer.Option("--masks", help="Also write masks of bones and osteophytes, as TIFF.")] = False,
     settings: Settings = None,

@@ -79,8 +79,8 @@ def compare_patients(
     films: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of patient radiographs with one subfolder per grade, 0 to 4, or with a CSV; or a folder that "
-            "contains such a folder for each source."
+            help="Folder of patient radiographs, with one subfolder per grade (0 to 4) or with a CSV file. For several "
+            "sources, a folder that contains one folder of this form per source."
         ),
     ] = None,
     bones: Annotated[
@@ -92,7 +92,8 @@ def compare_patients(
     cohort: Annotated[
         Path | None,
         typer.Option(
-            help="Cohort folder written by pssf cohort; its radiographs for --protocol give the simulated contours."
+            help="Cohort folder written by pssf cohort; its radiographs under --protocol provide the simulated "
+            "contours."
         ),
     ] = None,
     protocol: ProtocolName = "reference",
@@ -187,7 +188,7 @@ def separability(
 
 def protocols(
     name: Annotated[
-        str, typer.Argument(help="Name or TOML file of a protocol whose values are listed as defaults.")
+        str, typer.Argument(help="Protocol (name or TOML file) whose values are shown as the defaults.")
     ] = "",
 ) -> None:
     """List the fields of a protocol with meaning, unit, allowed values, default and source of typical values."""

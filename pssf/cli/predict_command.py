@@ -65,7 +65,7 @@ def predict(
     other = describe_version_differences(loaded.card)
     if other:
         print(
-            f"pssf: model {model.name} was made with other software versions; results may differ: {other}",
+            f"pssf: model {model.name} was made with other software versions ({other}); results may differ",
             file=sys.stderr,
         )
     done = predict_films(
@@ -79,7 +79,7 @@ def predict(
     for _, row in done.table.iterrows():
         chances = ", ".join(f"grade {grade} ({name}) {row[f'p grade {grade}']:.3f}" for grade, name in names.items())
         print(f"{row['file']}  {chances if row['status'] == 'found' else 'rejected: ' + row['status']}")
-        if row["row_px"] == row["row_px"]:  # NaN means that no joint was searched.
+        if row["row_px"] == row["row_px"]:  # NaN means that no joint was searched for.
             write_image_row(
                 [draw_film_region(loaded, row, Path(), linear=linear)],
                 out / "pictures" / f"{_make_unique_stem(row['file'], taken)}.png",

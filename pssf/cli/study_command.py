@@ -24,7 +24,7 @@ from .shared_options import (
 
 # Options that affect how a study runs but not its results.
 _OF_EXECUTION = ("out", "workers", "scheduler", "config", "until")
-# Types of deprecated options, which are now settings of the settings file. The options remain valid for one version.
+# Types of deprecated options. The settings file now contains these settings; the options remain valid for one version.
 _FormerText = Annotated[str, typer.Option(hidden=True)]
 _FormerCount = Annotated[int, typer.Option(hidden=True)]
 _FormerNumber = Annotated[float, typer.Option(hidden=True)]
@@ -67,7 +67,9 @@ def study(
     matrix: Matrix = 0,
     films: Annotated[
         Path | None,
-        typer.Option(help="Folder or CSV of patient radiographs by grade, on which the models are also tested."),
+        typer.Option(
+            help="Folder or CSV file of patient radiographs by grade; the models are also tested on these radiographs."
+        ),
     ] = None,
     scheduler: Scheduler = None,
     until: Annotated[str, typer.Option(help="Last step of the run: features or report.")] = "report",
@@ -126,8 +128,8 @@ def _collect_given_settings(context: typer.Context) -> dict[str, Any]:
         if name in _FORMER:
             option = f"--{name.replace('_', '-')}"
             print(
-                f"pssf: {option} is now a setting of the settings file; the option will be removed; set {name} in a "
-                "file and pass the file with --config",
+                f"pssf: {option} is now a setting of the settings file, and the option will be removed; set {name} in "
+                "a file and pass the file with --config",
                 file=sys.stderr,
             )
         if value not in ("", _NOT_GIVEN.get(name)):

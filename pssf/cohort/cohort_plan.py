@@ -250,7 +250,7 @@ def _resolve_preset_name(preset: str) -> str:
     if preset not in _FORMER_PRESET_NAMES:
         return preset
     said = (
-        f"preset {preset!r} is now {_FORMER_PRESET_NAMES[preset]!r}; the former name will be removed; "
+        f"preset {preset!r} is now {_FORMER_PRESET_NAMES[preset]!r}, but the former name will be removed; "
         "use the current name"
     )
     warnings.warn(said, DeprecationWarning, stacklevel=3)
@@ -262,7 +262,7 @@ def _resolve_entry_names(given: Mapping[str, Any]) -> dict[str, Any]:
     if "grades" not in given:
         return dict(given)
     warnings.warn(
-        "preset entry grades is now grade_table; the former name will be removed; use grade_table",
+        "preset entry grades is now grade_table, but the former name will be removed; use grade_table",
         DeprecationWarning,
         3,
     )
@@ -280,8 +280,8 @@ def _require_grades(
     hint = f": grade table {others} has grade {beyond[0]}" if others else ""
     allowed = ", ".join(map(str, distributions.grades.grades))
     raise InputError(
-        f"knees must be of grades {allowed} with grade table {distributions.table}, "
-        f"got knees of grade {beyond[0]}{hint}"
+        f"knees must have grades {allowed} with grade table {distributions.table}, "
+        f"got knees with grade {beyond[0]}{hint}"
     )
 
 
@@ -359,7 +359,7 @@ def select_subjects(plan: Plan, subjects: int) -> Plan:
 def _assign_subjects(knees: Sequence[int], bilateral: int) -> list[tuple[int, int, str | None]]:
     """Assign subject, grade and side to every knee; bilateral subjects are in proportion to the knees per grade."""
     for grade, count in enumerate(knees):
-        require_integer(f"knees of grade {grade}", count, 0, 100_000, "")
+        require_integer(f"number of knees with grade {grade}", count, 0, 100_000, "")
     total = sum(knees)
     require_integer("bilateral", bilateral, 0, total // 2, "subjects")
     if total == 0:

@@ -306,7 +306,7 @@ def build_from_table(dataclass_type: type[T], table: Mapping[str, Any], label: s
     for name, field in known.items():
         if name not in table and field.default is MISSING and field.default_factory is MISSING:
             raise InputError(
-                f"{label}: fields must include {', '.join(_required_fields(dataclass_type))}, got no {name!r}"
+                f"{label}: fields must include {', '.join(_required_fields(dataclass_type))}; {name!r} is missing"
             )
     try:
         return dataclass_type(**table)

@@ -66,7 +66,7 @@ def _resolve_keywords(
             if now in named:
                 raise InputError(f"{target_name}: got both {now} and its former name {name}; give only {now}")
             warnings.warn(
-                f"{target_name}: {name} is now {now}; the former name will be removed; use {now}",
+                f"{target_name}: {name} is now {now}, but the former name will be removed; use {now}",
                 DeprecationWarning,
                 stacklevel=3,
             )
@@ -124,7 +124,7 @@ def renamed_attribute(name: str) -> property:
 
     def get(self: Any) -> Any:
         warnings.warn(
-            f"a {type(self).__name__} attribute is now {name}; the former name will be removed; use {name}",
+            f"a {type(self).__name__} attribute is now {name}, but the former name will be removed; use {name}",
             DeprecationWarning,
             stacklevel=2,
         )

@@ -74,7 +74,7 @@ def _overlap_weights(length: int, side: float) -> sparse.csr_array:
 
 
 def _average_whole_blocks(image: NDArray[np.integer | np.floating], step: int) -> Array:
-    """Average an image over blocks, for numbers of rows and columns that are multiples of `step`."""
+    """Average an image over blocks; the numbers of rows and columns must be multiples of `step`."""
     blocks = image.reshape(image.shape[0] // step, step, image.shape[1] // step, step)
     return np.asarray(np.einsum("iajb->ij", blocks, dtype=np.float64)) / step**2
 

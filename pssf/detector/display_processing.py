@@ -1,7 +1,7 @@
-"""Display processing: conversion of the signal to grey levels from 0 (black) to 1 (white), with bright bone.
+"""Display processing: conversion of the signal to grey levels from 0 (black) to 1 (white).
 
-The simulated film is a monotonic function of the signal in the entire image. Flat-panel processing preserves the order
-of grey levels only among neighbouring pixels.
+Bone appears bright. Screen-film processing maps the signal of all pixels to grey levels with one monotonic curve.
+Flat-panel processing preserves the order of signal values only among neighbouring pixels.
 """
 
 import numpy as np

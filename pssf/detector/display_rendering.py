@@ -214,7 +214,7 @@ def resolve_processing(
     if isinstance(processing, str):
         if processing == "linear":
             warnings.warn(
-                'processing = "linear" is now "log"; the former name will be removed; use "log"',
+                'processing = "linear" is now "log", but the former name will be removed; use "log"',
                 DeprecationWarning,
                 stacklevel=3,
             )

@@ -53,7 +53,7 @@ def simulate_readout(
 
 
 def sample_dead_pixels(technique: Technique) -> NDArray[np.bool_]:
-    """Sample the locations of dead pixels, which are the same in every exposure with a detector.
+    """Sample the locations of the dead pixels of a detector; the locations are the same in every exposure.
 
     Parameters
     ----------

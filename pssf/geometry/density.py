@@ -59,7 +59,7 @@ def integrate_along_segments(density: Density, starts_mm: Array, ends_mm: Array)
     Raises
     ------
     InputError
-        If the density does not return one finite number per segment.
+        If the density function does not return one finite number per segment.
     """
     integrals = density.integrate(starts_mm, ends_mm)
     allowed = f"must return ({len(starts_mm)},) finite numbers in mm, one for each segment"

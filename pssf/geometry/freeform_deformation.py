@@ -171,7 +171,7 @@ def basis_matrix(points_mm: Array, lattice: Lattice) -> sparse.csr_array:
 
 
 def min_jacobian_determinant(lattice: Lattice) -> float:
-    """Compute the minimum Jacobian determinant of a deformation, which is positive if the deformation does not fold.
+    """Compute the minimum Jacobian determinant of a deformation; it is positive if the deformation does not fold.
 
     Parameters
     ----------

@@ -305,7 +305,7 @@ def _require_size_range(size_mm: tuple[float, float]) -> tuple[float, float]:
 
 
 def _suggest_unit(across_mm: float, low: float, high: float) -> str:
-    """Return a hint that names a mesh unit with which the extent of a scene would be plausible."""
+    """Return a hint that names a mesh unit in which the extent of a scene would be plausible."""
     for unit, factor in (("metres", 1000.0), ("centimetres", 10.0), ("inches", 25.4), ("micrometres", 0.001)):
         if low <= across_mm * factor <= high:
             return f" (if the mesh is in {unit}, use mesh.apply_scale({factor:g}))"

@@ -18,8 +18,8 @@ from ..core.checks import (
 )
 from ..model.protocol import Protocol
 
-# The limits below are wide enough for every scene that ray casting accepts.
-# Largest absolute coordinate of source and detector, in mm.
+# Largest absolute coordinate of source and detector, in mm. All limits of a view are wide enough for every scene that
+# ray casting accepts.
 _FARTHEST_MM = 1e14
 # Smallest and largest pixel size, in mm.
 _PIXEL_MM = (1e-9, 1e12)
@@ -191,7 +191,7 @@ def depth_fraction(points_mm: Array, view: View) -> Array:
 
 
 def project_at_depth(points_mm: Array, depth: Array, view: View) -> Array:
-    """Project points whose relative depth is known onto the detector.
+    """Project points onto the detector, given their relative depths.
 
     Parameters
     ----------

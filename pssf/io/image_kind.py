@@ -17,7 +17,7 @@ _PREAMBLE = 128  # length of the preamble of a DICOM file, in bytes (DICOM PS3.1
 
 
 def is_dicom(path: Path) -> bool:
-    """Report whether a file is a DICOM file, by its suffix, or by its first bytes if the suffix is unknown.
+    """Report whether a file is a DICOM file; its first bytes are read only if its suffix is unknown.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def is_dicom(path: Path) -> bool:
 
 
 def is_image(path: Path) -> bool:
-    """Report whether a file is an image, by its suffix, or by its first bytes in the case of DICOM.
+    """Report whether a file is an image; the first bytes are read only to identify DICOM files.
 
     Parameters
     ----------

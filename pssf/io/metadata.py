@@ -178,7 +178,7 @@ def require_intact_radiograph(text: str, pixels: NDArray[Any], path: Path) -> No
     if now != written:
         raise InputError(
             f"file {path}: pixels and metadata do not match their hash (sha256 {now[:12]}..., recorded "
-            f"{written[:12]}...); the file is damaged or was edited; save the radiograph again"
+            f"{written[:12]}...), because the file is damaged or was edited; save the radiograph again"
         )
 
 
@@ -237,7 +237,7 @@ def require_hash(path: Path, actual_sha256: str, expected_sha256: str, content: 
     if actual_sha256 != expected_sha256:
         raise InputError(
             f"file {path}: {content} do not match their hash (sha256 {actual_sha256[:12]}..., recorded "
-            f"{expected_sha256[:12]}...); the file is damaged or was edited; save the {content} again"
+            f"{expected_sha256[:12]}...), because the file is damaged or was edited; save the {content} again"
         )
 
 
@@ -276,8 +276,8 @@ def warn_unverified(path: Path, content: str) -> None:
         Always issued.
     """
     warnings.warn(
-        f"file {path}: the {content} have no hash, because an earlier version wrote the file; damage cannot be "
-        "detected; save the file again",
+        f"file {path}: the {content} have no hash, because an earlier version wrote the file, so that damage "
+        "cannot be detected; save the file again",
         UnverifiedNotice,
         stacklevel=4,
     )
@@ -325,8 +325,8 @@ def _make_truth(entry: _TruthEntry, path: Path) -> Truth:
     fields["jsw_at_mm"] = {float(fraction): space for fraction, space in entry.jsw_at_mm.items()}
     if entry.jsw_medial_mm is not None and "medial_jsw_femur" not in entry.landmarks_px:
         warnings.warn(
-            f"file {path} was written by an earlier version, whose joint space labels belong to another view; the "
-            "joint space labels are omitted; simulate the knee again to obtain the labels",
+            f"file {path} was written by an earlier version, whose joint space labels belong to another view "
+            "and are omitted; simulate the knee again to obtain the labels",
             LabelWarning,
             stacklevel=2,
         )

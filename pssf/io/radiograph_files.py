@@ -360,7 +360,7 @@ def _require_own_image(path: Path, wanted: str, kinds: tuple[str, ...]) -> None:
         return
     what = f"file {path} must be {wanted} file written by pssf, got a {kind}"
     if '"protocol"' in text:
-        raise InputError(f"{what} for presentation, without linear pixels: use load_parameters to read the parameters")
+        raise InputError(f"{what} for presentation, which has no linear pixels: use load_parameters for the parameters")
     raise InputError(f"{what} of another program: use pssf predict, pssf.features or pssf study --films")
 
 

@@ -230,7 +230,8 @@ def _make_contours_section(sample: landmark_comparison.LandmarkSample, reference
         text=CONTOURS_TEXT,
         tables=(
             Table(name="contours_outside", rows=compared.outside,
-                  caption="Numbers of landmark height means and SDs outside the tolerance."),
+                  caption="Number of landmark heights whose mean or SD is outside the tolerance, by KL-like grade. "
+                  "Means and SDs are counted separately."),
             Table(name="contours_landmarks", rows=compared.landmarks, max_rows_shown=32,
                   caption="Landmark coordinates as fractions of the plateau width."),
             Table(name="contours_sizes", rows=compared.sizes,
@@ -277,15 +278,15 @@ def _make_bones_section(
         text=BONES_TEXT,
         tables=(
             Table(name="bones", rows=rows, caption=(
-                "Distances between bone surfaces in mm. The built mean is the bone of the default knee; scale is the "
-                "patient bone size divided by the size of the built mean."
+                "Distances between bone surfaces in mm. In this table, *built mean* denotes the bone of the default "
+                "knee; the scale is the size of the patient bones divided by the size of the built mean."
             )),
             Table(name="bones_shape_measures", rows=forms, max_rows_shown=30,
                   caption="Shape measures of patient bones and of sampled bones (simulated), scaled to the same size."),
         ),
         figures=(Picture(
             name="bones", png=figure, alt="Bones of the default knee, coloured by distance from the patient mean",
-            caption="Bones of the default knee (built mean); colour is the signed distance from the mean patient bone.",
+            caption="Bones of the default knee; the colour shows the signed distance from the mean patient bone.",
         ),),
         facts={"rows": rows},
     )  # fmt: skip

@@ -10,8 +10,9 @@ CONTOURS_TEXT = (
 BONES_TEXT = (
     "Bones without osteophytes are registered by a similarity transform (rotation, translation, scale). Distances are "
     "measured between the surfaces in both directions, at the mean size of the patient bones. The flat cut of the "
-    "shafts is excluded. The built mean is the bone of the default knee. The spread is the distance of each patient "
-    "bone from the mean patient bone, and of each sampled bone from the built mean."
+    "shafts is excluded. The bone of the default knee, called the built mean, is compared with the mean patient bone. "
+    "Two spreads are also reported: the distances of the patient bones from the mean patient bone, and the distances "
+    "of the sampled bones from the bone of the default knee."
 )
 FILMS_TEXT = (
     "Every radiograph, patient or simulated, is normalised: the joint is localised, left knees are mirrored, and the "
@@ -23,11 +24,12 @@ FILMS_TEXT = (
 )
 CAPTIONS = {
     "domains": "(a) Source separability: AUC of patient against simulated radiographs, and between patient sources as "
-    "a control. An AUC of 0.5 means indistinguishable, 1 means always distinguished.",
-    "transfer": "(b) Grade prediction on patient radiographs, trained on simulated radiographs (auc) and on patient "
-    "radiographs by cross-validation (patient_auc). gain_fraction is the gain over chance (AUC - 0.5) from "
-    "simulated radiographs, divided by the gain from patient radiographs. gain_fraction is empty if the gain from "
-    "patient radiographs is uncertain.",
+    "a control. With an AUC of 0.5, two sources are indistinguishable; with an AUC of 1, they are always "
+    "distinguished.",
+    "transfer": "(b) Grade prediction on patient radiographs by classifiers that are trained on simulated radiographs "
+    "(auc) or, with cross-validation, on patient radiographs (patient_auc). gain_fraction is the gain over chance "
+    "(AUC - 0.5) from simulated radiographs, divided by the gain from patient radiographs. gain_fraction is empty if "
+    "the gain from patient radiographs is uncertain.",
     "effects": "(c) Standardised differences between grades, compared between patient and simulated radiographs over "
     "the features of a group: correlation r and fraction of equal signs. max_r is the expected r if the true "
     "differences are equal.",

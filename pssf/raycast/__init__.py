@@ -132,7 +132,7 @@ def trace(
     ------
     InputError
         If engine, material or precision is unknown, or the scene cannot be traced (see `check`). The error is also
-        raised if a path length is below -0.05 mm, or a density does not return one finite number per segment.
+        raised if a path length is below -0.05 mm, or a density function does not return one finite number per segment.
 
     Warns
     -----

@@ -28,7 +28,7 @@ from .surface_overlaps import find_contradictions, find_self_overlaps
 _SAMPLE_RAYS_PER_SIDE = 128
 # Distance from the sample ray source to the centre of the scene, as a multiple of the scene size; assumed.
 _SOURCE_DISTANCE_FACTOR = 7.3
-# Problem text for a surface outside the field of view; the command-line interface searches the faults for it.
+# Problem text for a surface outside the field of view; the command-line interface identifies these faults by this text.
 COVERS_NO_PIXEL = "covers no pixel"
 # Final phrase in the problem text of faults that are counted in sample rays.
 _SAMPLE_RAYS_LABEL = "number of sample rays affected"
@@ -151,7 +151,7 @@ def _find_nonmanifold_edges(surface: Surface) -> list[Fault]:
 
 
 def _find_dense_ambient(scene: Scene, tissue_table: Mapping[str, Tissue]) -> list[Fault]:
-    """Warn of an ambient material that is denser than a gas, if its density is known from its name."""
+    """Warn of an ambient material that is denser than a gas, if the name of the material states its density."""
     tissue, _, given = tissue_table.get(scene.ambient), *scene.ambient.partition("@")[1:]
     try:
         # The tissue table has no density for a mixture of tissues; a density of 1 is assumed, because any mixture is
@@ -161,7 +161,10 @@ def _find_dense_ambient(scene: Scene, tissue_table: Mapping[str, Tissue]) -> lis
         return []
     if density <= DENSEST_GAS_G_PER_CM3:
         return []
-    hint = f"simulate raises an error; enclose the scene in a closed surface of {scene.ambient}, in air"
+    hint = (
+        f"simulate would raise an error for this scene; enclose the scene in a closed surface of {scene.ambient} that "
+        "is surrounded by air"
+    )
     return [_make_warning_fault("ambient", f"{scene.ambient} outside all surfaces does not attenuate", 0, (), hint)]
 
 

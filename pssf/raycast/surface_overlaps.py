@@ -355,7 +355,7 @@ def _find_spans(pattern: _CrossingPattern) -> dict[int, _Span]:
 
 
 def _find_inconsistent_runs(pattern: _CrossingPattern) -> list[_Span | None]:
-    """Return, per crossing, the range with wrong material counts that contains it, or None if counts are correct."""
+    """For each crossing, return the range of wrong material counts around it, or None if the counts are correct."""
     runs: list[_Span | None] = [None] * len(pattern.sign)
     stretches = list(enumerate(zip(pattern.inconsistent, pattern.next_is_far, strict=True)))
     wrong = [k for k, (amiss, long) in stretches if amiss and long]
@@ -368,7 +368,7 @@ def _find_inconsistent_runs(pattern: _CrossingPattern) -> list[_Span | None]:
 
 
 def _intersect_spans(span: _Span, others: list[_Span], crossing: int) -> _Span:
-    """Intersect the span of one surface with the span of another surface that is closest to a crossing."""
+    """Among `others`, select the span closest to a crossing, and return its intersection with `span`."""
     nearest = min(others, key=lambda other: max(other[0] - crossing, crossing - other[1], 0))
     start = max(span[0], nearest[0])
     return start, max(start, min(span[1], nearest[1]))

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from .design.classification_tasks import TASKS, Classes
 
 ARM_COLUMNS = ["task", "scenario", "trained_on", "tested_on", "model", "selection"]
-# Baselines that an image model must outperform: label of each name in the column ``model``. Their column ``selection``
-# is "none".
+# Label of each baseline that an image model must outperform, keyed by its name in the column ``model``. The column
+# ``selection`` of a baseline is "none".
 BASELINES = {"chance": "Chance", "body": "Age, sex, stature", "jsw": "JSW (true)"}
 NO_SELECTION = "none"
 

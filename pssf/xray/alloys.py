@@ -55,8 +55,8 @@ def describe_alloy_misreading(name: str, tissues: Mapping[str, Tissue]) -> str |
     read = ", ".join(f"{_element_symbol(z)} {100 * part:.3g}" for z, part in material.elements)
     meant = "" if known is None else f"material {known} ({_format_composition(tissues[known])}), or "
     return (
-        f"{name} is interpreted as numbers of atoms, that is {read} % by mass; alloy names state percent by mass, so "
-        f"the attenuation differs; use {meant}percent by mass, as in Ti=90,Al=6,V=4@4.43"
+        f"{name} is interpreted as numbers of atoms, that is {read} % by mass, but alloy names state percent by mass, "
+        f"so the attenuation differs; use {meant}percent by mass, as in Ti=90,Al=6,V=4@4.43"
     )
 
 
@@ -67,7 +67,7 @@ def _count_atoms(formula: str) -> dict[str, float]:
 
 
 def _find_matching_metal(symbols: Collection[str], tissues: Mapping[str, Tissue]) -> str | None:
-    """Find a metal in the table that contains all metals of a formula, one of which is its main element."""
+    """Find a table metal that contains all metals of a formula, and whose main element is one of these metals."""
     for name, tissue in tissues.items():
         parts = tissue.composition or {}
         main = max(parts, key=lambda symbol: parts[symbol], default="")

@@ -109,7 +109,8 @@ def field_half_size_mm(technique: Technique) -> tuple[float, float]:
     Returns
     -------
     half_width_mm, half_height_mm : float
-        Half the width and half the height on the detector, in mm, of the collimated field or of a smaller detector.
+        Half the width and half the height of the collimated field on the detector, or of the detector if it is smaller,
+        in mm.
     """
     protocol, view = technique.protocol, technique.view
     sizes = (

@@ -155,7 +155,7 @@ def absorption_edges_kev(materials: Iterable[Material]) -> tuple[float, ...]:
 
 
 def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> Array:
-    """Compute the fraction of photons that interact in a layer of a compound, without coherent scattering.
+    """Compute the fraction of photons that interact in a layer of a compound, excluding coherent scattering.
 
     Parameters
     ----------

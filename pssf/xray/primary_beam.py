@@ -66,7 +66,7 @@ def transmit(
     workers: int = 2,
     view: View | None = None,
 ) -> Signal:
-    """Compute the primary signal of every pixel, without the heel effect and the collimator.
+    """Compute the primary signal of every pixel, excluding the effects of heel and collimator.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def compute_primary_before_and_behind(
 ) -> tuple[Signal, Signal]:
     """Compute the primary signal in front of and behind a filter after the limb, such as an anti-scatter grid.
 
-    The two signals share the exponentials, which take nearly all of the run time.
+    Both signals use the same exponentials, whose computation takes nearly all of the run time.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ def _compute_primaries(
 def _transmit_beams(
     path_mm: Mapping[str, Any], beams: Sequence[Beam], technique: Technique, workers: int, view: View | None
 ) -> list[Signal]:
-    """Compute the signals of beams with the same energies, without the heel effect and the collimator."""
+    """Compute the signals of beams with the same energies, excluding the effects of heel and collimator."""
     view, energies_kev = view or technique.view, beams[0].energies_kev
     mu = np.array([attenuation_per_mm(technique.material(name), energies_kev) for name in path_mm])
     mu = mu.reshape(-1, len(energies_kev))

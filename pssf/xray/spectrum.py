@@ -146,7 +146,7 @@ def heel_factor(technique: Technique) -> Array:
     Returns
     -------
     (rows,) float64 array
-        Factor by which self-absorption in the anode changes the signal of each row, without the inverse-square law.
+        Factor by which self-absorption in the anode changes the signal of each row, excluding the inverse-square law.
 
     Notes
     -----
@@ -209,7 +209,7 @@ def tube_spectrum(
     off_axis: float = 0.0,
     bin_kev: float = _BIN_KEV,
 ) -> tuple[Array, Array]:
-    """Compute the spectrum of a tungsten anode behind aluminium, without air (SpekPy 2, model "casim").
+    """Compute the spectrum of a tungsten anode behind aluminium, neglecting air (SpekPy 2, model "casim").
 
     Parameters
     ----------

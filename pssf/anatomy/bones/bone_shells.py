@@ -152,7 +152,7 @@ def prepare_template_bones(bone_parameters: BoneParameters) -> None:
     bone_parameters : BoneParameters
         Parameters of the bones of the knee.
     """
-    # After installation, building a template bone takes seconds, so two threads build both bones in parallel.
+    # The first build of a template bone after installation takes seconds, so two threads build both bones in parallel.
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(TemplateBone.prepare, (bone_parameters.template_femur, bone_parameters.template_tibia)))
 

@@ -28,19 +28,19 @@ _LEANS = 1.0
 # Largest lean of a spine osteophyte, mm.
 _MOST_LEANING_MM = 1.5
 # Largest breadth of a spine osteophyte, in mm (assumed). Below this limit, the breadth equals the size. Spine
-# osteophytes are ridges that fill the saddle between the spines (10 patient radiographs of KL 4).
+# osteophytes are ridges that fill the intercondylar saddle between the spines (10 patient radiographs with KL grade 4).
 _BROADEST_MM = 2.5
-# Largest product of breadth and size of a spine osteophyte, in mm2 (assumed). Tall ridges are therefore narrow and stay
-# clear of the femur.
+# Largest product of breadth and size of a spine osteophyte, in mm2 (assumed). Tall ridges are therefore narrow and do
+# not touch the femur.
 _TALL_MM2 = 8.0
-# Distance from the top of the spine to the base of the ridge in the saddle, in mm (assumed).
+# Distance from the top of the spine to the base of the osteophyte ridge in the intercondylar saddle, in mm (assumed).
 _INNER_FOOT_MM = 4.0
 # Distance from the top of the crest to its anterior and posterior ends, in mm per mm of breadth (assumed).
 _CREST_RUNS = 2.2
 # Height difference between the top and the ends of the crest, in mm per mm of breadth (assumed).
 _CREST_FALLS = 0.45
-# Range of distances from the midline within which the top of a spine is searched, in mm at template size. Beyond this
-# range, the margin of a concave plateau may be higher than the spine.
+# Range of distances from the midline within which the top of a spine is searched for, in mm at template size. Beyond
+# this range, the margin of a concave plateau may be higher than the spine.
 _SPINE_RANGE_MM = (1.0, 16.0)
 # Distance of the base points from the joint margin, in the direction away from the joint, in mm at template size.
 _FOOT_OFFSET_MM = 3.0

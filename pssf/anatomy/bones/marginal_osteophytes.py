@@ -29,9 +29,9 @@ _FARTHEST_MM = 13.0
 _INWARD_MM = 5.0
 # Depth below the joint surface at which the margin is sampled, in mm.
 _UNDER_MM = 3.0
-# Start and end of the lines along which the bone surface is searched, in mm.
+# Start and end of the lines along which the bone surface is searched for, in mm.
 _WAYS_MM = (-12.0, 12.0)
-# Number of samples along each line on which the bone surface is searched.
+# Number of samples along each line on which the bone surface is searched for.
 _SAMPLES = 49
 # The centre of the margin is the mean of all points within this distance of the farthest margin point, in mm.
 _MARGIN_TOLERANCE_MM = 0.3

@@ -157,8 +157,8 @@ class BoneWithOsteophytes:
 
     def _find_shallow_edges(self, places: Array, edges: Indices) -> tuple[Indices, Array]:
         """Find the edges (n, 2) that are too close to the bone surface, and their midpoints (n, 3), in mm."""
-        # The distance of a point on an edge from the surface is smaller than that of the nearer edge end by at most
-        # half the edge length.
+        # A point on an edge is closer to the surface than the nearer end of the edge, but by at most half the edge
+        # length.
         shallow = self.field(places) > -_EDGE_MM / 2 - _NEAR_MM
         edges = edges[shallow[edges].any(axis=1)]
         ends = places[edges]

@@ -15,7 +15,7 @@ from ...model.protocol import Posture
 Laws = Mapping[str, FieldSpec]
 # Fields that change the size of bones.
 _SIZE_PARAMETERS = ("bone_scale", "stature_mm")
-# Fields that may cause each failed check. Each key is a word in the error message of the check.
+# Fields that may cause a check to fail, keyed by a word in the error message of the check.
 _PARAMETERS_BY_FAULT = {
     "cortex": ("limb_ap_mm", "fat_mm", *_SIZE_PARAMETERS),
     "trabecular bone": ("cortex_scale", "subchondral_plate", "notch_growth_mm", *_SIZE_PARAMETERS),

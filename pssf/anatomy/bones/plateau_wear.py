@@ -22,7 +22,7 @@ _CRUMB_MM3 = 0.1
 
 
 def wear_tibia(tibia: Bone, femur: Manifold, plate_mm: float) -> Bone:
-    """Remove the tibial bone that the femur overlaps, with an unchanged plate thickness below the worn surface.
+    """Remove the tibial bone that the femur overlaps, and keep the plate thickness below the worn surface unchanged.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def _wear_outer_solid(tibia: Manifold, femur: Manifold) -> Manifold:
 
 
 def _subtract_femur(solid: Manifold, femur: Manifold, clearance_mm: float) -> Manifold:
-    """Subtract the femur from a solid, with a clearance below the femur and on all four sides."""
+    """Subtract the femur from a solid, and leave a clearance below the femur and on its four sides."""
     # An edge of the femur may be thinner than the shift of its copies, so the femur is also subtracted without a shift.
     ways = clearance_mm * np.array([[0, 0, 0], [0, 0, -1], [1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     return Manifold.batch_boolean([solid, *(femur.translate(way) for way in ways)], OpType.Subtract)

@@ -28,8 +28,8 @@ from ..template.bone_builder import (
 )
 from .bone_shells import SHAFT_END_MM, Bone, space_ring_heights
 
-# Largest distance by which simplification moves the surface of straight shafts and of solids whose surfaces trabeculae
-# blur, in mm.
+# Largest distance by which simplification moves a surface, in mm. It applies to straight shafts, and to solids whose
+# surfaces are blurred by trabeculae in the radiograph.
 _SIMPLIFY_TOLERANCE_MM = 0.02
 # Number of points per ring of the patella.
 _PATELLA_COUNT = 64
@@ -75,7 +75,7 @@ _MOST_BESIDE = 0.9
 
 
 def build_fibula(knee: Knee, bone_parameters: BoneParameters, tibia: Manifold) -> Bone:
-    """Build the fibula and subtract the tibia, with a gap, from it.
+    """Build the fibula, and remove the volume of the tibia and of a gap around the tibia.
 
     Parameters
     ----------
@@ -198,7 +198,7 @@ def _make_patella_inset(table: PatellaShape, cortex: Callable[[Array], Array]) -
 
 
 def _loft_patella(table: PatellaShape, inset: Callable[[Array], Array], heights: Array, name: str) -> Manifold:
-    """Build a loft through the patellar sections, reduced in width by an inset."""
+    """Build a loft through the patellar sections after an inset has reduced their widths."""
     return loft_column(scale_sections(table.sections, 1.0), inset, heights, name, 2.1, _PATELLA_COUNT)
 
 

@@ -1,4 +1,4 @@
-"""Faces of a bone that its osteophytes raise above the bone without osteophytes, for rendering masks."""
+"""Osteophyte masks: select the bone faces that osteophytes raise above the surface without osteophytes."""
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -40,7 +40,7 @@ def select_osteophyte_faces(knee: Knee, assembly: KneeAssembly) -> dict[str, Mes
         sites = [one.site for one in knee.osteophytes if one.bone == template.name]
         if not sites:
             continue
-        raised = _select_raised_faces(template, grown)
+        raised = select_raised_faces(template, grown)
         raised = Mesh(place_points(raised.vertices), raised.faces)
         tips = place_points(np.array([shape.tip for shape in grown.shapes]))
         for site, mesh in _split_faces_by_site(raised, sites, tips).items():
@@ -48,8 +48,21 @@ def select_osteophyte_faces(knee: Knee, assembly: KneeAssembly) -> dict[str, Mes
     return selected
 
 
-def _select_raised_faces(template: TemplateBone, grown: BoneWithOsteophytes) -> Mesh:
-    """Select the faces of a bone above the surface of its template, at template size."""
+def select_raised_faces(template: TemplateBone, grown: BoneWithOsteophytes) -> Mesh:
+    """Select the faces of a bone that protrude from the template bone.
+
+    Parameters
+    ----------
+    template : TemplateBone
+        Bone without osteophytes.
+    grown : BoneWithOsteophytes
+        The same bone with one or more osteophytes.
+
+    Returns
+    -------
+    Mesh
+        Open mesh at template size in the frame of the bone, in mm. Its border is 0.05 mm above the template bone.
+    """
     near = np.any([shape.is_near(grown.mesh.vertices) for shape in grown.shapes], axis=0)
     protrusion_mm = np.full(len(near), -MIN_PROTRUSION_MM)
     protrusion_mm[near] += template.field(grown.mesh.vertices[near])
@@ -85,7 +98,7 @@ def _clip_faces(mesh: Mesh, values: Array) -> Mesh:
 
 
 def _drop_unused_vertices(vertices: Array, faces: Indices) -> Mesh:
-    """Make a mesh of only the vertices that its faces use."""
+    """Remove the vertices that no face of a mesh uses."""
     used, number = np.unique(faces, return_inverse=True)
     return Mesh(vertices[used], number.reshape(-1, 3))
 
@@ -96,10 +109,12 @@ def _split_faces_by_site(mesh: Mesh, sites: list[str], tips: Array) -> dict[str,
     `tips` (n, 3) are the tips of the osteophytes at `sites`. A component with the tips of several sites, such as both
     tibial spines, is cut halfway between these tips. A component without a tip belongs to the nearest tip.
     """
+    parts: dict[str, list[Mesh]] = {site: [] for site in sites}
+    if not len(mesh.faces):
+        return {site: _join_meshes([]) for site in parts}
     ends = mesh.faces[:, [0, 1]], mesh.faces[:, [1, 2]]
     links = coo_array((np.ones(2 * len(mesh.faces)), np.vstack(ends).T), shape=(len(mesh.vertices),) * 2)
     count, label = connected_components(links, directed=False)
-    parts: dict[str, list[Mesh]] = {site: [] for site in sites}
     for component in range(count):
         piece = _drop_unused_vertices(mesh.vertices, mesh.faces[label[mesh.faces[:, 0]] == component])
         low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)

@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 from manifold3d import Manifold, OpType
+from scipy.spatial import cKDTree
 
 from ...core.checks import Array
 from ...data.table_records import Pair
@@ -22,23 +23,24 @@ from ..outlines.projected_contours import (
     rotate_px,
 )
 from ..posture.knee_assembly import KneeAssembly
+from .osteophyte_faces import MIN_PROTRUSION_MM, select_raised_faces
 
 # Positions x at which JSW(x) is measured, as fractions of the femoral width from the medial edge (Neumann et al. 2009).
 # The femoral width corresponds to CFWDTH in the tables of the Osteoarthritis Initiative. It is measured between the
 # epicondyles, because osteophytes do not change their positions (assumed). With this width, the fractions cover the
-# range in which the minimum JSW is searched.
+# range of the search for the minimum JSW.
 JSW_FRACTIONS = (0.15, 0.175, 0.2, 0.225, 0.25, 0.275, 0.3, 0.7, 0.725, 0.75, 0.775, 0.8, 0.825, 0.85, 0.875, 0.9)
 # Range in which JSW(x) is measured, as fractions of half the plateau width. The range includes the part of the femur
 # that overhangs the plateau edge.
 _JSW_FRACTION_RANGE = (0.2, 1.0)
-# Height range in which the edges of the condyles are searched, in mm at template size in the frame of the femur.
+# Height range in which the edges of the condyles are searched for, in mm at template size in the frame of the femur.
 _CONDYLES = (1.0, 12.0)
-# Height range in which the epicondyles are searched, in mm at template size in the frame of the femur.
+# Height range in which the epicondyles are searched for, in mm at template size in the frame of the femur.
 _EPICONDYLES = (22.0, 42.0)
-# Height range in which the edges of the plateau are searched, in mm at template size in the frame of the tibia.
+# Height range in which the edges of the plateau are searched for, in mm at template size in the frame of the tibia.
 _PLATEAU = (-9.0, 1.0)
-# Smallest distance from the surface without osteophytes at which bone is assigned to an osteophyte, in mm.
-_MIN_OSTEOPHYTE_MM = 0.05
+# Largest distance between a connected component of an osteophyte and the faces that the osteophyte raises, in mm.
+_MAX_PIECE_DISTANCE_MM = 1.0
 # Landmarks of the joint space: the centre of each compartment, the midpoint of the two centres, and the ends of the
 # minimum JSW.
 _JOINT_LANDMARKS = (
@@ -128,14 +130,32 @@ def build_osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mes
         sites = [one.site for one in knee.osteophytes if one.bone == mean.name]
         if not sites:
             continue
-        bare = project_solid(mean.outer, mean.field, depth_mm=lambda points: np.full(len(points), -_MIN_OSTEOPHYTE_MM))
+        bare = project_solid(mean.outer, mean.field, depth_mm=lambda points: np.full(len(points), -MIN_PROTRUSION_MM))
         # Both solids are moved before the subtraction. The cuts are therefore on the moved triangles, and the
         # osteophyte stays inside its bone.
         outer, bare = (_warp_solid(solid, move) for solid in (grown.outer, bare))
         tips = move(np.array([shape.tip for shape in grown.shapes]))
-        for site, added in _split_by_site(outer - bare, sites, tips).items():
+        near = _select_pieces_near(outer - bare, move(select_raised_faces(mean, grown).vertices))
+        for site, added in _split_by_site(near, sites, tips).items():
             meshes[site] = assembly.orient_mesh(extract_mesh(added))
     return meshes
+
+
+def _select_pieces_near(solid: Manifold, points: Array) -> Manifold:
+    """Keep the connected components of a solid that are near any of the points (n, 3), in mm.
+
+    At the cut end of a shaft, the meshes of the bone with and without osteophytes differ by slivers.
+    """
+    if not len(points):
+        return Manifold()
+    tree = cKDTree(points)
+    return Manifold.compose(
+        [
+            piece
+            for piece in solid.decompose()
+            if tree.query(extract_mesh(piece).vertices)[0].min() < _MAX_PIECE_DISTANCE_MM
+        ]
+    )
 
 
 def _warp_solid(solid: Manifold, move: Callable[[Array], Array]) -> Manifold:

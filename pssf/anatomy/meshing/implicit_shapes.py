@@ -97,7 +97,7 @@ def ellipsoid_distance_mm(points: Array, centre_mm: Triple, half_mm: Triple) -> 
     centre_mm : (float, float, float)
         Centre of the ellipsoid, in mm.
     half_mm : (float, float, float)
-        Half axes along x, y and z, in mm.
+        Semi-axes along x, y and z, in mm.
 
     Returns
     -------

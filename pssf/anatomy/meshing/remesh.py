@@ -290,8 +290,8 @@ def _repair_slivers(
     if not len(folded):
         return places, faces, folded, used
     faces, folded = _flip_edges(places, faces, folded, field)
-    # A corner of only three triangles moves to the mean of the neighbouring corners, where none of the three triangles
-    # can be inverted.
+    # A corner that belongs to only three triangles moves to the mean of the neighbouring corners, where none of the
+    # three triangles can be inverted.
     lonely = [corner for corner in np.unique(folded) if movable[corner] and (faces == corner).sum() == 3]
     places = places.copy()
     for corner in lonely:

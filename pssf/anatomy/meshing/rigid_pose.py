@@ -14,7 +14,7 @@ _OUT_DEG = 9.5
 # Flexion at which the external rotation reaches 1 - 1/e (63 %) of its largest value, in degrees.
 _BY_DEG = 25.0
 # Medial shift of the femur per degree of external rotation, in mm. Without the shift, condyles, notch and edges deviate
-# by 0.9 mm from landmarks on 150 fixed-flexion radiographs of KL 0 (Tiulpin et al. 2019; landmarks.toml).
+# by 0.9 mm from landmarks on 150 fixed-flexion radiographs with KL grade 0 (Tiulpin et al. 2019; landmarks.toml).
 _MEDIAL_MM_PER_DEG = 0.16
 
 
@@ -130,16 +130,16 @@ class Pose:
 
 
 def adjust_femur_pose(pose: Pose, x: Array, raise_mm: Array) -> Pose:
-    """Tilt and raise the femur to move points at two positions along x upwards by specified distances.
+    """Tilt and raise the femur so that it moves upwards by a specified distance at each of two positions along x.
 
     Parameters
     ----------
     pose : Pose
         Pose to adjust.
     x : (2,) float64 array, mm
-        Positions of the two points along x.
+        The two positions along x at which the upward shift is specified.
     raise_mm : (2,) float64 array
-        Required upward shifts of the two points, in mm.
+        Required upward shift of the femur at each position in `x`, in mm.
 
     Returns
     -------

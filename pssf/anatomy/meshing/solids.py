@@ -321,9 +321,9 @@ def make_ring(half_x: float, half_y: float, centre: tuple[float, float, float], 
     Parameters
     ----------
     half_x : float
-        Half axis a along x, in mm.
+        Semi-axis a along x, in mm.
     half_y : float
-        Half axis b along y, in mm.
+        Semi-axis b along y, in mm.
     centre : (float, float, float)
         Centre (x, y, z), in mm.
     power : float
@@ -345,9 +345,9 @@ def make_rings(half_x: Array, half_y: Array, centres: Array, power: float, count
     Parameters
     ----------
     half_x : (n,) float64 array, mm
-        Half axes along x.
+        Semi-axes along x.
     half_y : (n,) float64 array, mm
-        Half axes along y.
+        Semi-axes along y.
     centres : (n, 3) float64 array, mm
         Centres (x, y, z).
     power : float
@@ -445,7 +445,7 @@ def loft_column(
     sections : (n, 5) float64 array, mm
         One row per section, in any order: height z, half width ML, half width AP, centre y, centre x.
     inset_mm : callable
-        Function that maps heights (k,), in mm, to the thickness (k,), in mm, that is subtracted from both half axes.
+        Function that maps heights (k,), in mm, to the thickness (k,), in mm, that is subtracted from both semi-axes.
     heights_mm : (k,) float64 array
         Heights of the rings, in mm, in increasing order.
     name : str
@@ -488,7 +488,7 @@ def make_column_rings(
     count : int
         Number of points per ring.
     inset_mm : float or (k,) float64 array
-        Thickness subtracted from both half axes, in mm. Half axes are at least 0.05 mm.
+        Thickness subtracted from both semi-axes, in mm. Semi-axes are at least 0.05 mm.
 
     Returns
     -------

@@ -12,7 +12,7 @@ from ...geometry.mesh_topology import label_bodies
 
 
 def restore_uncut_faces(cut: Mesh, whole: Mesh) -> Mesh:
-    """Restore the original faces whose edges a Boolean operation has flipped far from the cut.
+    """Far from the cut, restore the original faces where a Boolean operation has flipped edges.
 
     Parameters
     ----------

@@ -48,8 +48,8 @@ FEMORAL_LANDMARKS = (
     "femur_medial_notch", "femur_medial_condyle", "femur_medial_edge",
 )  # fmt: skip
 CONTOUR_LANDMARKS = TIBIAL_LANDMARKS + FEMORAL_LANDMARKS
-# Positions of points 1 and 2 along x as fractions of the distance from edge to spine. They are means of the annotations
-# of 150 knees of KL 0 (Tiulpin et al. 2019).
+# Positions of points 1 and 2 along x as fractions of the distance from edge to spine. The fractions are means of the
+# annotations of 150 knees with KL grade 0 (Tiulpin et al. 2019).
 _EDGE_TO_SPINE_FRACTIONS = {"lateral": (0.356, 0.709), "medial": (0.392, 0.779)}
 # Search range for a spine on each side of the plateau centre, as a fraction of the plateau width.
 _SPINE_SEARCH_FRACTION = 0.22
@@ -63,11 +63,11 @@ _NOTCH_RISES = (0.355, 0.404)
 # heights deviate from annotated landmarks by 1.2 SD at 45 degrees and by 0.9 SD at 30 degrees. Angles below 30 degrees
 # reduce the deviation only slightly and fail for some bones.
 _TANGENT_DEG = 30.0
-# Points farther below the line through the medial and lateral edges are not part of the plateau, as a fraction of the
-# plateau width. With a fraction of 0.08, the slope anterior to the spines would count as floor (bones of Clouthier et
-# al. 2019).
+# Largest depth of plateau points below the line through the medial and lateral edges, as a fraction of the plateau
+# width; lower points are not part of the plateau. With a fraction of 0.08, the slope anterior to the spines would count
+# as floor (bones of Clouthier et al. 2019).
 _PLATEAU_UNDER = 0.04
-# Central range of the antero-posterior depth of the plateau in which the floor is searched, as fractions of this depth.
+# Anteroposterior range of the search for the plateau floor, as fractions of the anteroposterior plateau depth.
 _MIDDLE = (0.25, 0.75)
 # All points down to this distance below the top of a section belong to the plateau, in mm.
 _MIN_SECTION_DEPTH_MM = 2.0
@@ -92,7 +92,7 @@ class _Contour:
         return self._place(int(np.abs(self.x_mm - x_mm).argmin()))
 
     def crop_between(self, first_mm: float, last_mm: float) -> "_Contour":
-        """Return the contour between two values of x, which may be in either order, in mm."""
+        """Return the contour between two values of x, in mm; the values may be in either order."""
         low, high = sorted((first_mm, last_mm))
         part = (self.x_mm >= low) & (self.x_mm <= high)
         return _Contour(self.x_mm[part], self.y_mm[part])

@@ -92,7 +92,7 @@ def solve_pose(
     tibia : BoneWithOsteophytes
         Outer tibia with osteophytes.
     protocol : Protocol
-        Protocol that defines the JSW of the knee. The resulting pose has the posture of this protocol.
+        Protocol under which the specified JSW of the knee applies. The resulting pose has the posture of this protocol.
 
     Returns
     -------

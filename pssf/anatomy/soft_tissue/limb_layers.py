@@ -70,8 +70,8 @@ def build_soft_tissue_layers(
     longer_mm = _compute_thigh_extension_mm(bend.angle_deg, float(straight_mm[:, 2].max()))
     rows += [[rows[-1][0] + longer_mm, *rows[-1][1:]]] if longer_mm else []
     coarse = _lean_with_shafts(np.array(rows), shear_angle_deg(flexion_deg), bone_parameters)
-    # The patella is anterior to the limb centre. If a section is too small to enclose the bones, it is therefore moved
-    # towards them before it is widened.
+    # The patella is anterior to the limb centre. If a section is too small to enclose the bones, the section is
+    # therefore moved towards the bones before it is widened.
     coarse = _add_effusion(_resample(coarse), bone_parameters.shape.effusion, knee.effusion_mm)
     fascia = _enclose_points(coarse - np.array([0.0, wrap_ml, wrap_ap, 0.0, 0.0]), straight_mm)
     rings = np.append(_LEVELS_MM, np.arange(1.0, 1.0 + longer_mm // _RING_MM) * _RING_MM + _LEVELS_MM[-1])

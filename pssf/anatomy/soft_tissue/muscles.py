@@ -51,7 +51,7 @@ def build_intermuscular_fat(
 
 
 def _build_muscle(part: MuscleShape, fascia: Array, scale: float) -> Manifold:
-    """Build a muscle from sections that are fractions of the half axes of the fascia about its centre."""
+    """Build a muscle from sections whose sizes and centre offsets are fractions of the fascia semi-axes."""
     rows = np.array(sorted(part.sections))
     rows[:, 0] *= scale
     heights, rounding = _space_muscle_rings(rows[0, 0], rows[-1, 0], _END_ROUNDING_MM * scale)

@@ -15,7 +15,7 @@ def build_fat_pad(part: FatPad, scale: float, tibia_frame: Array, sheath_mm: flo
     Parameters
     ----------
     part : FatPad
-        Centre and half axes of the template fat pad in the frame of the tibia, in mm.
+        Centre and semi-axes of the template fat pad in the frame of the tibia, in mm.
     scale : float
         Size of the bones relative to the template.
     tibia_frame : (3, 4) float64 array, mm
@@ -42,7 +42,7 @@ def build_patellar_tendon(
     Parameters
     ----------
     part : PatellarTendon
-        Ends and half axes of the template tendon, in mm.
+        Ends and semi-axes of the template tendon, in mm.
     scale : float
         Size of the bones relative to the template.
     apex_mm : (3,) float64 array
@@ -79,7 +79,7 @@ def build_quadriceps_tendon(
     Parameters
     ----------
     part : QuadricepsTendon
-        Ends and half axes of the template tendon, in mm.
+        Ends and semi-axes of the template tendon, in mm.
     scale : float
         Size of the bones relative to the template.
     base_mm : (3,) float64 array
@@ -108,7 +108,7 @@ def build_quadriceps_tendon(
 def _build_strap(
     ends: list[tuple[Array, tuple[float, float, float]]], scale: float, sheath_mm: float, name: str
 ) -> Manifold:
-    """Build the convex hull of two ellipsoids, each a pair of centre (3,) and half axes (3,), in mm."""
+    """Build the convex hull of two ellipsoids, each a pair of centre (3,) and semi-axes (3,), in mm."""
     ball = Manifold.sphere(1.0, 24)
     solids = [ball.scale(np.array(half) * scale + sheath_mm).translate(place) for place, half in ends]
     return require_valid_solid(Manifold.batch_hull(solids), name)

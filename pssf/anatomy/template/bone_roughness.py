@@ -37,7 +37,7 @@ NO_SEEDS = Seeds(0, 0)
 
 
 def compute_roughness_mm(points: Array, zones: tuple[RoughnessZone, ...], seeds: Seeds, shaft_sign: int) -> Array:
-    """Compute the displacement of bone points that surface roughness causes.
+    """Compute by how much surface roughness displaces the points of a bone.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def compute_roughness_mm(points: Array, zones: tuple[RoughnessZone, ...], seeds:
 
 
 def compute_growth_mm(points: Array, zones: tuple[GrowthZone, ...], bone_growth_mm: float) -> Array:
-    """Compute the displacement of bone points that bone growth causes.
+    """Compute by how much bone growth displaces the points of a bone.
 
     Parameters
     ----------

@@ -59,7 +59,7 @@ def _sine(x: float) -> float:
 
 @kernel_helper()
 def _rim_bone_fraction(x: float, below_mm: float, region: DensityParameters) -> float:
-    """Compute the factor by which the rim of the medial plateau reduces BV/TV: below 1 in the rim, 1 elsewhere."""
+    """Compute the BV/TV factor of the rim of the medial plateau: below 1 inside the rim, and 1 elsewhere."""
     beyond, above = x - region.rim_from_mm, region.rim_mm - below_mm
     return 1.0 - region.rim * _sigmoid(beyond * region.rim_per_mm) * _sigmoid(above * region.rim_per_mm)
 
@@ -92,7 +92,7 @@ def _depth_below_joint_mm(x: float, y: float, z: float, region: DensityParameter
 
 @kernel_helper()
 def fill_nodes(lanes: Array, region: DensityParameters, struts: StrutVoxels) -> None:
-    """Write the density and the lattice coordinates at the far ends of the current intervals into the work array.
+    """Write density and lattice coordinates at the far end of the current ray interval of each lane to the work array.
 
     Parameters
     ----------

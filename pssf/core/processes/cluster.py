@@ -118,7 +118,7 @@ def run_on_cluster(
                 future.release()
         except KilledWorker:
             raise WorkersLostError(
-                "workers of the cluster were killed repeatedly; memory may be insufficient; run fewer workers"
+                "workers of the cluster were killed repeatedly, possibly for lack of memory; run fewer workers"
             ) from None
         except (CancelledError, CommClosedError):
             raise WorkersLostError(

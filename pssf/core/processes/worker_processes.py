@@ -12,13 +12,14 @@ from multiprocessing import parent_process
 from manifold3d import Manifold
 from threadpoolctl import threadpool_limits
 
-# Code of the option M_TRIM_THRESHOLD in malloc.h, the amount of freed memory that a process retains.
+# Code of the option M_TRIM_THRESHOLD in malloc.h; the option sets how much freed memory a process retains.
 _TRIM_THRESHOLD = -1
-# Code of the option M_MMAP_THRESHOLD in malloc.h, the array size up to which a process reuses its own memory.
+# Code of the option M_MMAP_THRESHOLD in malloc.h; up to the array size in this option, a process reuses its memory.
 _MMAP_THRESHOLD = -3
 # Value of the options M_TRIM_THRESHOLD and M_MMAP_THRESHOLD, in bytes (assumed).
 _LARGE = 2**30
-# Number of segments of a sphere whose many triangles cause manifold3d to choose its number of threads (assumed).
+# Number of segments of a sphere (assumed). The sphere has so many triangles that manifold3d determines its number of
+# threads.
 _SPHERE_SEGMENTS = 400
 
 

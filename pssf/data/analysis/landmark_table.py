@@ -89,8 +89,8 @@ class LandmarkReference(Record, frozen=True):
     modes : LandmarkModes
         Principal components of knees with KL grade 0 or 1.
     gap_alone_auc : dict of str to (float, float, float)
-        AUC for distinguishing grades 1 to 4 (keys "kl1" to "kl4") from grade 0 by the smaller of the medial and the
-        lateral smallest gap. The values are the AUC and its 95 % confidence interval.
+        AUC for distinguishing grades 1 to 4 (keys "kl1" to "kl4") from grade 0 by the smallest gap of the narrower
+        compartment. The values are the AUC and its 95 % confidence interval.
     """
 
     source: str

@@ -70,7 +70,8 @@ class SearchSettings(Record, frozen=True):
     min_visible_fraction : float
         Smallest fraction of the joint patch that must be inside the image.
     candidates : int
-        Maximum number of joint matches, for right and left knees each, around which the medial compartment is searched.
+        Maximum number of joint matches near which the medial compartment is searched for, separately for right and left
+        knees.
     max_score_deficit : float
         Largest difference between the best joint score and the score of a candidate.
     pixel_aspect_ratios : tuple of float
@@ -144,7 +145,7 @@ class AcceptanceThresholds(Record, frozen=True):
     min_side_evidence_unknown_pitch : float
         Lowest evidence for a side at which a score below `min_score_unknown_pitch` is accepted.
     min_score_square_pixels : float
-        Score at or above which no other pixel aspect ratios are searched.
+        Score at or above which no other pixel aspect ratios are tested.
     min_score_further_attempts : float
         Lowest accepted score of a match with another pixel aspect ratio or with a template of severe osteoarthritis.
     stretch_penalty : float

@@ -36,7 +36,7 @@ class Ellipsoid(Record, frozen=True):
     centre : (float, float, float)
         Centre, in mm.
     half : (float, float, float)
-        Half axes, in mm.
+        Semi-axes, in mm.
     fillet_mm : float
         Radius of the fillet between ellipsoid and bone, in mm.
     """
@@ -125,7 +125,7 @@ class RoughnessZone(Record, frozen=True):
     centre : (float, float, float)
         Centre of the ellipsoid, in mm.
     half : (float, float, float)
-        Half axes of the ellipsoid, in mm.
+        Semi-axes of the ellipsoid, in mm.
     direction : (float, float, float)
         Direction of the displacement, as a unit vector.
     sd_mm : float
@@ -152,7 +152,7 @@ class GrowthZone(Record, frozen=True):
     centre : (float, float, float)
         Centre of the ellipsoid, in mm.
     half : (float, float, float)
-        Half axes of the ellipsoid, in mm.
+        Semi-axes of the ellipsoid, in mm.
     direction : (float, float, float)
         Displacement at the centre, in mm per mm of growth.
     """
@@ -414,12 +414,12 @@ class FabellaShape(Record, frozen=True):
     z : float
         Height of the fabella in the frame of the femur, in mm.
     reach_mm : float
-        Half the side length of the square in the xz plane in which the posterior surface of the femur is searched, in
-        mm.
+        Half the side length of the square in the xz plane within which the posterior surface of the femur is searched
+        for, in mm.
     behind_mm : float
         Distance of the fabella behind the femur, in mm.
     form : (float, float, float)
-        Half axes in x, y and z, relative to half the height of the fabella.
+        Semi-axes in x, y and z, relative to half the height of the fabella.
     cortex_mm : float
         Cortical thickness, in mm.
     """
@@ -440,7 +440,7 @@ class OsteophyteMargin(Record, frozen=True):
     Attributes
     ----------
     band_z : (float, float)
-        Height range in which the margin is searched, in mm.
+        Height range in which the margin is searched for, in mm.
     at_z : float
         Approximate height of the margin, in mm.
     joint : {1.0, -1.0}

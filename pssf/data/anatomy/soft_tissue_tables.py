@@ -46,7 +46,7 @@ class PlateauEllipse(Record, frozen=True):
     x, y : float
         Centre, in mm.
     half_x, half_y : float
-        Half axes, in mm.
+        Semi-axes, in mm.
     """
 
     x: float
@@ -81,9 +81,9 @@ class Meniscus(Record, frozen=True):
     x, y : float
         Centre, in mm.
     outer : (float, float)
-        Outer half axes in x and y, in mm.
+        Outer semi-axes in x and y, in mm.
     inner : (float, float)
-        Inner half axes in x and y, in mm.
+        Inner semi-axes in x and y, in mm.
     """
 
     x: float
@@ -121,7 +121,7 @@ class FatPad(Record, frozen=True):
     centre : (float, float, float)
         Centre, in mm.
     half : (float, float, float)
-        Half axes, in mm.
+        Semi-axes, in mm.
     """
 
     centre: Triple
@@ -138,7 +138,7 @@ class PatellarTendon(Record, frozen=True):
     tuberosity : (float, float, float)
         Position of the lower end in the frame of the tibia, in mm.
     half : (float, float, float)
-        Half axes of the ends of the tendon, in mm.
+        Semi-axes of the ends of the tendon, in mm.
     """
 
     from_apex: Triple
@@ -156,9 +156,9 @@ class QuadricepsTendon(Record, frozen=True):
     upwards : (float, float, float)
         Vector from the lower to the upper end, in the frame of the femur, in mm.
     half_below : (float, float, float)
-        Half axes of the lower end, in mm.
+        Semi-axes of the lower end, in mm.
     half_above : (float, float, float)
-        Half axes of the upper end, in mm.
+        Semi-axes of the upper end, in mm.
     """
 
     from_base: Triple
@@ -175,7 +175,7 @@ class MuscleShape(Record, frozen=True):
     name : str
         Name of the muscle or bundle.
     sections : rows of float
-        Rows of z (mm), then half ML width, half AP depth, centre y and centre x as fractions of the half axes of the
+        Rows of z (mm), then half ML width, half AP depth, centre y and centre x as fractions of the semi-axes of the
         fascia at this height.
     """
 

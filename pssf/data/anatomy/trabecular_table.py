@@ -61,9 +61,9 @@ class StrutLattice(Record, frozen=True):
         Fraction of the variance due to dense and sparse patches: median over knees, and SD of the logarithm of the
         fraction.
     patch_per_mm : float
-        Bandwidth of the patches, in 1/mm.
+        Bandwidth of the dense and sparse patches, in 1/mm.
     patch_aspect_ratio : float
-        Height of a patch relative to its width.
+        Height of a dense or sparse patch of struts, relative to the width of the patch.
     length_per_mm : float
         Bandwidth along a strut, 1 / (2 pi length), in 1/mm.
     angular_spread_rad : float
@@ -187,17 +187,17 @@ class PhysealScar(Record, frozen=True):
     Attributes
     ----------
     off_mm : (float, float)
-        Range of the distance from the middle of the bone at which the scar is strongest, in mm.
+        Range of the distance between the bone midline and the position of the strongest scar, in mm.
     wide_mm : float
         Distance over which the strength of the scar falls to a quarter, in mm.
     least : float
         Smallest scar strength on the medial or the lateral side, relative to the largest strength.
     dome_off_mm : float
-        Largest anteroposterior distance between the apex of the domed scar and the middle of the bone, in mm.
+        Largest anteroposterior distance between the apex of the domed scar and the centre of the bone, in mm.
     ripple_mm : float
-        Amplitude of the waves of the scar, in mm.
+        Amplitude of the undulation of the physeal scar, in mm.
     ripple_length_mm : float
-        Wavelength of the scar waves, in mm.
+        Wavelength of the undulation of the physeal scar, in mm.
     """
 
     off_mm: Pair
@@ -365,13 +365,13 @@ class TrabecularBone(Record, frozen=True):
     lattice : StrutLattice
         Lattice of struts.
     ageing : Ageing
-        Dependence of trabecular bone on age.
+        Dependence of trabecular bone density and strut contrast on age.
     person : BoneDensityVariation
-        Variation between persons.
+        Variation of bone density between persons.
     grain : StrutCoarseness
         Coarseness of struts.
     sclerosis : Sclerosis
-        Dependence of trabecular bone on the thickness of the subchondral bone plate.
+        Dependence of trabecular bone density on the thickness of the subchondral bone plate.
     side : MedialLateralTransition
         Transition between the medial and the lateral side.
     scar : PhysealScar

@@ -72,7 +72,7 @@ class SmallFieldBias(Record, frozen=True):
     Attributes
     ----------
     side_mm : float
-        Largest value, on the detector, of the smaller field side to which the ratios apply, in mm.
+        Largest length of the shorter field side on the detector for which the ratios apply, in mm.
     low : float
         Smallest ratio of kernel scatter to Monte Carlo scatter.
     high : float

@@ -102,7 +102,7 @@ class AccompanyingOsteophytes(Record, frozen=True):
     from_mm : float
         Smallest size of a main osteophyte that may have additional osteophytes, in mm.
     share : float
-        Probability of an additional osteophyte, which applies separately to the anterior and the posterior position.
+        Probability of an additional osteophyte, separately for the anterior and the posterior position.
     place : (float, float)
         Range of the position of an additional osteophyte along the margin, from the middle (0) to the end (1).
     size : (float, float)
@@ -136,7 +136,7 @@ class OsteophyteDistributions(Record, frozen=True):
     size_mm : tuple of (float, float)
         Size ranges of OARSI grades 0, 1, 2 and 3, in mm.
     doubtful_mm : float
-        Largest osteophyte size in knees of KL grade 1, in mm.
+        Largest osteophyte size in knees with KL grade 1, in mm.
     spine : tuple of float
         Fraction of knees with an osteophyte on the tibial spine of the narrowed compartment, per KL grade.
     spine_other : float

@@ -58,7 +58,7 @@ def resolve_grade_table_name(name: str) -> str:
     if name not in _RENAMED_TABLES:
         return name
     warnings.warn(
-        f"grade table {name!r} is now {_RENAMED_TABLES[name]!r}; the former name will be removed; "
+        f"grade table {name!r} is now {_RENAMED_TABLES[name]!r}, but the former name will be removed; "
         f"use {_RENAMED_TABLES[name]!r}",
         DeprecationWarning,
         stacklevel=4,

@@ -144,7 +144,8 @@ function describeComparison() {
   const more = names.length > MOST_NAMES ? ` and ${names.length - MOST_NAMES} more` : "";
   const what = names.length ? `The current image differs from the pinned image in ${names.slice(0, MOST_NAMES).join(", ")}${more}.`
     : "Both images have the same parameters.";
-  find("#compared").textContent = film.differs ? `${what} Orange: current larger; blue: current smaller; dark: equal.` : what;
+  const legend = "The current pixel value is larger (orange), smaller (blue) or equal (dark).";
+  find("#compared").textContent = film.differs ? `${what} ${legend}` : what;
 }
 
 function updateCursor() {

@@ -88,7 +88,7 @@ def read_exported_scene(path: Path) -> Scene:
     lost = [str(known.get("name", "surface")) for known, _ in named if known.get("densities")]
     if lost:
         warnings.warn(
-            f"file {path} does not contain the varying densities within {', '.join(lost)}; each material "
+            f"file {path} does not contain the varying densities within {', '.join(lost)}, so each material "
             "gets a uniform density; build the scene from the knee parameters to keep the trabecular structure",
             MeshNotice,
             stacklevel=3,

@@ -78,8 +78,8 @@ def _warn_of_lost_faces(content: bytes, path: Path) -> None:
     # Files with negative vertex indices are skipped, because negative indices are relative to the latest vertex.
     if faces and used and min(used) > 0 and max(used) < count:
         warnings.warn(
-            f"file {path}: vertices {max(used) + 1} to {count} are not used by any face; the file may be incomplete; "
-            f"{_REMEDY}",
+            f"file {path}: vertices {max(used) + 1} to {count} are not used by any face, so the file may be "
+            f"incomplete; {_REMEDY}",
             MeshNotice,
             stacklevel=5,
         )

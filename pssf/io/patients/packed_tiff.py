@@ -16,7 +16,8 @@ _BLACK_IS_ZERO = 1
 # Values of the tag Compression (TIFF 6.0, tag 259); Deflate has two values.
 _NONE = 1
 _DEFLATE = (8, 32946)
-# Bits per pixel: packed values share bytes with neighbouring pixels; whole values fill one or two bytes.
+# Bit depths at which pixel values are packed: neighbouring pixels share bytes. At other depths, a value fills one or
+# two bytes.
 _PACKED = range(9, 16)
 _WHOLE = (8, 16)
 # Orientation values (TIFF 6.0, tag 274) that swap rows and columns.

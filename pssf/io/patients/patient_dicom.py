@@ -143,7 +143,7 @@ def _process_linear_pixels(
 
 
 def _apply_luts(item: FileDataset, stored: NDArray[Any]) -> Array:
-    """Apply the modality and VOI transformations; scale the possible output range to 0 to 1; return (rows, cols)."""
+    """Apply the modality and VOI transformations, scale the possible output range to 0-1, and return (rows, cols)."""
     bits, signed = int(item.BitsStored), int(item.PixelRepresentation) == 1
     ends = np.array([-(2 ** (bits - 1)), 2 ** (bits - 1) - 1] if signed else [0, 2**bits - 1], np.float64)
     if "ModalityLUTSequence" in item:

@@ -106,8 +106,8 @@ def list_films(folder: str | Path) -> tuple[Film, ...]:
     Raises
     ------
     InputError
-        No radiograph or a listed file is not found, a table column or value is not allowed, a column or file is
-        repeated, or copies of one file differ in grade, subject or side.
+        No radiograph is found, a listed file does not exist, a table column or value is not allowed, a column or file
+        is repeated, or copies of one file differ in grade, subject or side.
     """
     folder = Path(folder)
     is_table = folder.suffix.lower() == ".csv"
@@ -264,7 +264,7 @@ def _parse_file_name(file: Path) -> tuple[str, str | None]:
 
 
 def _remove_zero_decimal(text: str) -> str:
-    """Remove ".0" from an integer that a data frame with missing values stored as a float; return other text."""
+    """Remove ".0" from integers that a data frame with missing values stored as floats; do not change other text."""
     return re.sub(r"(?<=\d)\.0$", "", text) if re.fullmatch(r"\d+\.0", text) else text
 
 

@@ -68,8 +68,8 @@ def read_stored_pixels(path: str | Path) -> StoredPixels:
     Raises
     ------
     InputError
-        The file is missing, damaged, or not an image. The image has colour, several frames, or values that are not
-        integers from -32768 to 65535.
+        If the file is missing, damaged, or not an image, or if the image has colour, several frames, or values that are
+        not integers from -32768 to 65535.
     """
     path = Path(path)
     require_film(path)
@@ -85,7 +85,7 @@ def read_stored_pixels(path: str | Path) -> StoredPixels:
 
 
 def read_linear_pixels(path: str | Path) -> StoredPixels:
-    """Read pixels that the user declares as linear in the detector signal, with air bright.
+    """Read pixels that the user declares as linear in the detector signal, with bright air.
 
     Parameters
     ----------
@@ -100,8 +100,9 @@ def read_linear_pixels(path: str | Path) -> StoredPixels:
     Raises
     ------
     InputError
-        The file is rejected by `read_stored_pixels`, has 8 bits or fewer, or contains negative values. A DICOM declares
-        its pixels as log-converted, decreasing with the signal, or For Presentation.
+        If the file is rejected by `read_stored_pixels`, has 8 or fewer bits per pixel, or contains negative values. The
+        error is also raised if a DICOM file declares its pixel values to be log-converted, to decrease with increasing
+        signal, or to be For Presentation.
     """
     path = Path(path)
     stored = read_stored_pixels(path)
@@ -146,7 +147,7 @@ def has_declared_pixel_meaning(path: Path) -> bool:
 
 
 def _read_picture(path: Path) -> NDArray[Any]:
-    """Read the stored pixel values of a TIFF, PNG or JPEG."""
+    """Read the stored pixel values of a TIFF, PNG or JPEG file."""
     if path.suffix.lower() in (".tif", ".tiff"):
         with tifffile.TiffFile(path) as tiff:
             if len(tiff.pages) > 1:
@@ -158,7 +159,7 @@ def _read_picture(path: Path) -> NDArray[Any]:
 
 
 def _read_dicom(path: Path) -> StoredPixels:
-    """Read the rescaled pixel values of a DICOM, its pixel size, knee side and pixel intensity attributes."""
+    """Read the rescaled pixel values, pixel size, knee side and pixel intensity attributes of a DICOM file."""
     import pydicom  # pydicom is imported only for DICOM files.
     from pydicom.pixels import apply_modality_lut
 

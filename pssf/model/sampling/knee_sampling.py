@@ -197,7 +197,7 @@ def sample_knee_from_distributions(
             drawn[name] = _sample_uniform(rng, getattr(ranges, name))
     for name, bounds in law.pose.items():
         drawn[name] = _sample_uniform(rng, bounds)
-    # Both fields have the same seed, because texture and bone form use independent random streams.
+    # `texture_seed` and `form_seed` can share one seed, because texture and bone form use independent random streams.
     drawn["texture_seed"] = drawn["form_seed"] = int(rng.spawn(1)[0].integers(2**63))
     # The remaining fields use child generators, so that they do not change the fields sampled before.
     drawn |= _sample_bone_form(rng.spawn(1)[0], law, sex, distributions.mode_count)

@@ -182,7 +182,7 @@ def compare_bones(patient_bones: Bones, built: Mapping[str, Mesh], drawn: Bones,
     patient_bones : mapping of str to sequence of Mesh
         Meshes of patient bones in mm, keyed by bone name.
     built : mapping of str to Mesh
-        Meshes of the default knee in mm (built mean), keyed by bone name.
+        Bone meshes of the default knee in mm, keyed by bone name. The table calls them the built mean.
     drawn : mapping of str to sequence of Mesh
         Meshes of sampled knees in mm, keyed by bone name.
     workers : int, default 1

@@ -18,11 +18,11 @@ _COLUMNS = 90
 # Posterior slope of the tibial plateau, in degrees. The tibia is projected parallel to the plateau, and the femur
 # horizontally.
 _SLOPE_DEG = 5.0
-# Distance from the midline within which the roof of the intercondylar notch is searched, in mm.
+# Distance from the midline within which the roof of the intercondylar notch is searched for, in mm.
 _ROOF_MM = 7.0
-# Distance from the midline within which the tibial spines are searched, in mm.
+# Distance from the midline within which the tibial spines are searched for, in mm.
 _SPINES_MM = 15.0
-# Distance from the midline within which the eminence is searched, in mm.
+# Distance from the midline within which the eminence is searched for, in mm.
 _EMINENCE_MM = 25.0
 # Range of distances of the condyles from the midline, in mm.
 _CONDYLE_MM = (12.0, 32.0)
@@ -60,7 +60,7 @@ def _measure_femur(mesh: Mesh) -> dict[str, float]:
     return {
         "notch's depth, from in front": depth / width,
         "notch's width at half its depth": wide / width,
-        "notch's depth over that width": depth / wide,
+        "ratio of notch depth to notch width": depth / wide,
     }
 
 

@@ -1,4 +1,4 @@
-"""Compute shape measures of femur, tibia and patella, after which the shape modes are named.
+"""Compute shape measures of femur, tibia and patella; the shape modes are named after these measures.
 
 Bones are in the frame of the template bone, before posture is applied: x medial, y posterior, z proximal, in mm.
 """

@@ -40,7 +40,8 @@ _COLUMNS = tuple(f"{name}_{axis}_mm" for name in CONTOUR_LANDMARKS for axis in "
 _TIBIA = slice(0, 9)
 # Indices of the femoral landmarks.
 _FEMUR = slice(9, 16)
-# Positions at which the minimum joint gap is searched: distance from the femoral edge as a fraction of femoral width.
+# Positions at which the minimum joint gap is searched for: distances from the femoral edge as fractions of the femoral
+# width.
 _GAP_FRACTIONS = np.linspace(0.1, 0.3, 81)
 _NAMED_GAP_FRACTIONS = {"0150": 0.15, "0200": 0.2, "0250": 0.25, "0300": 0.3}
 # Key of the random stream for acquisitions; `comparison_run` uses other keys.
@@ -253,8 +254,8 @@ def measure_joint_sizes(places_mm: Array) -> dict[str, Array]:
     -----
     A joint gap is the vertical distance between the femoral and tibial contours, which are interpolated linearly
     between landmarks. The position of a gap is its distance from the femoral edge as a fraction of the femoral width.
-    The minimum gap is searched at fractions from 0.1 to 0.3. Convergence is the angle between the line through the
-    condyles and the line through the plateau edges. It is positive if the joint opens medially.
+    The minimum gap is searched for at fractions from 0.1 to 0.3 of the femoral width. Convergence is the angle between
+    the line through the condyles and the line through the plateau edges. It is positive if the joint opens medially.
     """
     shares, width = normalise_to_plateau(places_mm)
     sizes = {"plateau_width_mm": width}
@@ -303,7 +304,7 @@ def compare_contours(sample: LandmarkSample, reference: LandmarkReference) -> Co
     for grade in grades:
         chosen, known = sample.grades == grade, reference.grade[str(grade)]
         if chosen.sum() < 2:
-            raise InputError(f"number of knees of grade {grade} must be 2 or more, got {chosen.sum()}")
+            raise InputError(f"number of knees with grade {grade} must be 2 or more, got {chosen.sum()}")
         rows = _compare_landmarks(int(grade), shares[chosen], known)
         heights = [row for row in rows if row["axis"] == "y" and row["landmark"] not in EDGE_LANDMARKS]
         count = sum((not row["mean_inside"]) + (not row["sd_inside"]) for row in heights)

@@ -16,7 +16,7 @@ _SIDE_BANDS = {
     "lateral_condyle": (-1, 8.0, 20.0),
     "medial_epicondyle": (1, 20.0, 30.0),
 }
-# Range of distances from the midline in which a bone edge is searched, in mm.
+# Range of distances from the midline in which a bone edge is searched for, in mm.
 _SOUGHT_MM = (24.0, 43.2)
 # Length of the profile outside the bone edge, in mm.
 _OUT_MM = 2.6
@@ -34,9 +34,9 @@ _TOLD_MM = (0.0, 0.6, 1.2, 2.1, 3.3)
 _LEAST_ROWS = 8
 # Minimum grey-value difference between bone and soft tissue, as a fraction of the grey range of the image.
 _LEAST_RISE = 0.15
-# Range of heights above the joint in which the physeal scar of each bone is searched, in mm.
+# Range of heights above the joint in which the physeal scar of each bone is searched for, in mm.
 _SCARS = {"femur": (14.0, 34.0), "tibia": (-30.0, -10.0)}
-# Range of distances from the midline in which the physeal scar is searched, in mm.
+# Range of distances from the midline in which the physeal scar is searched for, in mm.
 _ASIDE_MM = (15.0, 30.0)
 # Width of the image strips over which line strength is averaged, in mm.
 _WIDE_MM = 5.0

@@ -47,8 +47,8 @@ _SPINES_MM = 21.0
 _SPINES_FADING_MM = 14.0
 # Cost of a femoral contour below the tibial contour, or of a tibial contour above the femoral contour, dimensionless.
 _FORBIDDEN_COST = 10.0
-# Distance from the midline up to which the tibial side contours have no extra cost, in half plateau widths. Contours
-# are searched only near the plateau edges, because fibula, fat and skin also have edges.
+# Distance from the midline up to which the tibial side contours have no extra cost, in half plateau widths. Side
+# contours are searched for only near the plateau edges, because fibula, fat and skin also have edges.
 _TIBIA_WITHIN = 1.08
 # Distance from the midline up to which the femoral side contours have no extra cost, in half plateau widths.
 _FEMUR_WITHIN = 1.15

@@ -9,11 +9,11 @@ from .film_outline import Outline
 
 # Positions of contour height measurements: distance from the plateau middle in plateau widths, positive medially.
 _STATION_FRACTIONS = np.round(np.linspace(-0.42, 0.42, 15), 2)
-# Distance from the plateau middle within which the top of the notch is searched, in plateau widths.
+# Distance from the plateau middle within which the top of the notch is searched for, in plateau widths.
 _NOTCH = 0.14
-# Distance from the plateau middle within which the tibial spines are searched, in plateau widths.
+# Distance from the plateau middle within which the tibial spines are searched for, in plateau widths.
 _SPINES = 0.16
-# Depth range below the tibial contour in which the plateau edges are searched, in mm.
+# Depth range below the tibial contour in which the plateau edges are searched for, in mm.
 _EDGE_MM = (3.0, 8.0)
 # Distances from the joint at which bone margins are measured, in mm.
 _MARGIN_MM = (4.0, 8.0, 12.0, 18.0)
@@ -114,7 +114,7 @@ def _measure_joint_space(share: Array, gap: Array) -> Features:
 
 
 def _measure_margins(outline: Outline, edges: tuple[float, float]) -> Features:
-    """Measure bone margin overhang relative to the plateau edge, and to the margin 10 to 16 mm from the joint."""
+    """Measure bone margin overhang relative to the plateau edge and to the margin 10 to 16 mm from the joint."""
     width = edges[1] - edges[0]
     values = {}
     for bone, rows, sides in (

@@ -88,7 +88,7 @@ def simulate_films(folder: Path, plan: Plan, known: DisplayProcessing, execution
 
 
 def match_pixel_sizes(simulated: FilmSource, records: Mapping[str, Sequence[Record]], seed: int) -> FilmSource:
-    """Sample the pixel sizes of simulated radiographs from the patient source with the most localised joints.
+    """Sample pixel sizes of simulated radiographs from the patient source with the largest number of localised joints.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Measure relative grey values of tissues on a radiograph, without contrast stretch."""
+"""Measure relative grey values of tissues on a radiograph whose contrast has not been stretched."""
 
 import numpy as np
 from scipy.ndimage import map_coordinates

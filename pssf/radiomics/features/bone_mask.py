@@ -19,7 +19,7 @@ _MAX_SURE_SPACE_MM = 10.0
 _MAX_SPACE_MM = 16.0
 # Minimum depth of bone markers inside the Otsu outline, in mm; in this band, the gradient locates the bone outline.
 _BAND_MM = 8.0
-# Gap between the markers and the joint space or the Otsu outline, in mm; in it, the gradient locates the outline.
+# Gap between the markers and the joint space or the Otsu outline, in mm; the gradient locates the outline in this gap.
 _SEAM_MM = 2.0
 # Maximum vertical distance of the joint space and the notch from the middle row of the region, in mm.
 _JOINT_REACH_MM = 16.0

@@ -1,4 +1,4 @@
-"""Feature extraction: measurement of the radiomic features of a region by a backend, with pyradiomics names."""
+"""Feature extraction: a backend measures the radiomic features of a region, which are named as in pyradiomics."""
 
 from collections.abc import Collection
 from typing import Protocol

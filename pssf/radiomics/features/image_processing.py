@@ -7,11 +7,13 @@ from .feature_families import TEXTURES
 # Texture settings of both backends. With these settings, both backends reproduce the reference values of the IBSI
 # digital phantom for the aggregation "2D, averaged".
 _TEXTURE_PROCESSING = {
-    "glcm": "neighbours at 1 pixel in 4 directions, symmetric, not weighted by distance; averaged over directions",
+    "glcm": "neighbours at a distance of 1 pixel in 4 directions, symmetric, not weighted by distance; "
+    "averaged over directions",
     "glrlm": "runs in 4 directions, not weighted by distance; averaged over directions",
-    "glszm": "zones of pixels connected to any of their 8 neighbours; one matrix for the plane",
-    "ngtdm": "8 neighbours at 1 pixel; one matrix for the plane",
-    "gldm": "8 neighbours at 1 pixel, dependent if in the same bin; one matrix for the plane",
+    "glszm": "zones of pixels connected to any of their 8 neighbours; one matrix for all in-plane directions",
+    "ngtdm": "8 neighbours at a distance of 1 pixel; one matrix for all in-plane directions",
+    "gldm": "8 neighbours at a distance of 1 pixel, dependent if in the same bin; "
+    "one matrix for all in-plane directions",
 }
 
 

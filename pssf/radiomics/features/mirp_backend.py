@@ -1,4 +1,4 @@
-"""MIRP backend: features measured by MIRP (Zwanenburg 2024), which follows the IBSI, with pyradiomics names.
+"""MIRP backend: features are measured by MIRP (Zwanenburg 2024), which follows the IBSI, and named as in pyradiomics.
 
 MIRP features are identified by their IBSI tag. MIRP has no 2D shape features, so `shape2d` measures them. The MCC
 feature is omitted, because MIRP and pyradiomics define MCC differently.

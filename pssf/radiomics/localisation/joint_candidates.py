@@ -29,12 +29,12 @@ class MatchPair:
 
     @property
     def mean_score(self) -> float:
-        """Mean score of the two matches, dimensionless."""
+        """Mean of the whole-joint score and the compartment score, dimensionless."""
         return (self.joint_match.score + self.compartment_match.score) / 2
 
     @property
     def excess(self) -> float:
-        """Sum of the two scores, each minus its chance score, dimensionless."""
+        """Sum of the whole-joint and compartment scores, each minus its chance score, dimensionless."""
         return self.joint_match.excess + self.compartment_match.excess
 
 
@@ -45,7 +45,7 @@ class Candidates:
     Attributes
     ----------
     image : Pyramid
-        Searched image.
+        Image to search.
     templates : tuple of Template
         Template radiographs for the medial compartment.
     matches : sequence of Match

@@ -234,12 +234,12 @@ def locate_joint(
     The correlation uses edge directions, weighted by edge strength relative to the surroundings. Display processing
     therefore has little effect.
 
-    1. The whole joint is searched at a coarse pixel size, over all positions, sizes, sides, orientations and
+    1. The whole joint is searched for at a coarse pixel size, over all positions, sizes, sides, orientations and
        polarities. If the pixel size is unknown, the chance score is subtracted before scores of different sizes are
        compared.
-    2. The medial compartment is searched near the best whole-joint matches, over all templates, rotations and sizes,
-       with subpixel precision. The pair with the best sum of the two scores is the result.
-    3. The specified side and pixel size are compared with the best pair.
+    2. The medial compartment is searched for near the best whole-joint matches, over all templates, rotations and
+    sizes, with subpixel precision. The pair of whole-joint and compartment matches with the largest sum of scores is
+    the result. 3. The specified side and pixel size are compared with the best pair.
     """
     if side is not None:
         require_choice("side", side, SIDES)
@@ -376,7 +376,7 @@ def _list_units_mm(
     table: LocalisationSettings,
     min_plateau_fraction: float,
 ) -> list[float]:
-    """List the searched knee sizes, as mm of the template per pixel of the image."""
+    """List the knee sizes to be tested, as mm of the template per pixel of the image."""
     if pixel_mm is not None:
         require_in_range("pixel_mm", pixel_mm, 0.001, 50, "mm")
         smallest, largest = table.search.scale_range

@@ -14,7 +14,7 @@ from .templates import Pose, compute_spectra
 
 # Fourier-transform lengths are rounded up to multiples of this number of pixels to limit the number of lengths.
 _LENGTH_STEP_PX = 16
-# Minimum number of rows and columns of a searched edge field, in pixels.
+# Minimum number of rows and columns of an edge field in which a template is searched for, in pixels.
 _MIN_SIDE_PX = 8
 Window = tuple[slice, slice]
 POLARITIES = ("bone bright", "bone dark")
@@ -70,11 +70,11 @@ def find_matches(
     Parameters
     ----------
     image : Pyramid
-        Searched image.
+        Image to search.
     units_mm : iterable of float
-        Searched knee sizes, as mm of the template per pixel of the image.
+        Knee sizes to search for, as mm of the template per pixel of the image.
     patches : iterable of Pose
-        Searched poses.
+        Poses to search for.
     law : PatchSettings
         Patch settings.
     min_visible_fraction : float
@@ -118,7 +118,7 @@ def compute_score_maps(
     pose : Pose
         Pose to which the scores belong.
     scores : (patches, rows, cols) float32 array
-        Score of each patch, with its medial joint line placed at each pixel, dimensionless.
+        Score of each patch at each pixel, at which the medial joint line of the patch is placed, dimensionless.
     """
     places = window or _full_window(field.shape[1:])
     parts = np.stack([*field, (field**2).sum(axis=0)])
@@ -135,7 +135,7 @@ def compute_score_maps(
         yield pose, alike / np.sqrt(own * np.maximum(power, own))
 
 
-@lru_cache(maxsize=256)  # The cache size is sufficient for all knee sizes searched in one image.
+@lru_cache(maxsize=256)  # The cache size is sufficient for all knee sizes tested in one image.
 def _compute_visible_fraction(image: tuple[int, ...], pose: Pose) -> NDArray[np.float32]:
     """Compute the fraction of the patch weight that is inside an image.
 

@@ -217,7 +217,7 @@ def make_poses(templates: tuple[Template, ...], law: PatchSettings) -> tuple[Pos
     return tuple(patches)
 
 
-@lru_cache(maxsize=512)  # The cache size is sufficient for all knee sizes searched in images of several shapes.
+@lru_cache(maxsize=512)  # The cache size is sufficient for all knee sizes tested in images of several shapes.
 def compute_spectra(pose: Pose, shape: tuple[int, int]) -> Spectra:
     """Compute the Fourier transforms of the edge patches and weights of a pose, padded to a shape.
 

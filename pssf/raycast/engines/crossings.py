@@ -152,7 +152,7 @@ def integrate_along_rays(crossings: Crossings, frame: RayFrame, density: Density
     Raises
     ------
     InputError
-        If the density does not return one finite number per segment.
+        If the density function does not return one finite number per segment.
     """
     window = crossings.window
     most = len(crossings.depth) + len(crossings.starts) - 1

@@ -191,7 +191,7 @@ def _walk_to_pixel(
 def reuse_from_neighbours(
     near: NeighbourTriangles, frame: RayFrame, crossings: Crossings, progress: CastProgress, direction: int
 ) -> None:
-    """Reuse the triangles of a neighbouring pixel, or adjacent triangles, for pixels strictly inside the triangles.
+    """Reuse the triangles of a neighbouring pixel, or adjacent triangles, for pixels strictly inside these triangles.
 
     Parameters
     ----------

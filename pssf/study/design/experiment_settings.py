@@ -27,7 +27,7 @@ _TYPE_NAMES = {
     tuple[int, ...]: "a list of integers",
     tuple[float, ...]: "a list of numbers",
 }
-# Setting name of each preset field whose setting has a different name.
+# Preset fields that are named differently from their setting, with the name of the setting.
 _SETTING_OF_ENTRY = {"settings": "set"}
 # Ratio of detector width to default region width, such as 2048 to 512 pixels.
 _REGION_FRACTION = 4

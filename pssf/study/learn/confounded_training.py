@@ -1,11 +1,11 @@
 """Training on data in which age, BMI or imaging site is associated with grade, at a specified strength s.
 
-For age and BMI, a fraction (1 + s)/2 of the training subjects of grade 2 is above the median. The same fraction of the
-training subjects of grade 0 is below the median. Subsampling of the subjects sets these fractions; the number of
+For age and BMI, a fraction (1 + s)/2 of the training subjects with grade 2 is above the median. The same fraction of
+the training subjects with grade 0 is below the median. Subsampling of the subjects sets these fractions; the number of
 remaining subjects does not depend on s.
 
-For the imaging site, a fraction (1 + s)/2 of grade 2 is imaged under the second protocol. The same fraction of grade 0
-is imaged under the reference protocol.
+For the imaging site, a fraction (1 + s)/2 of the subjects with grade 2 is imaged under the second protocol. The same
+fraction of the subjects with grade 0 is imaged under the reference protocol.
 
 Test subjects are weighted so that confounder and grade are associated as in training, or not at all.
 """

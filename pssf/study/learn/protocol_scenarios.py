@@ -152,7 +152,7 @@ def _run_training_plan(
         for part in (parts.training, parts.validation)
     )
     if set(fit_on[1]) != set(range(len(parts.classes))):
-        return  # No region of a class is located under the training protocol.
+        return  # At least one class has no located region under the training protocol.
     prepared = build_feature_pipeline(
         recipe.selection, rho=settings.rho, max_features=settings.most_features, seed=seed
     )
@@ -210,7 +210,7 @@ def _harmonise_test_part(parts: _TaskSplit, names: list[str], protocol: str, ref
 
 
 def _predict_test_sets(fitted: FittedModel, tested: pd.DataFrame, names: list[str], classes: Classes) -> pd.DataFrame:
-    """Predict the classes in all test sets of a training plan, which are concatenated in one table."""
+    """Predict the classes in all test sets of a training plan; `tested` concatenates these test sets in one table."""
     features, truth = make_labelled_features(tested, names, classes)
     probability = fitted.pipeline.predict_proba(features) if len(tested) else np.empty((0, len(classes)))
     labels = tested[["radiograph", "knee", "subject", "protocol", "scenario", "tested_on"]].assign(truth=truth)

@@ -30,8 +30,7 @@ from ...radiomics.radiomics_tables import RadiomicsTables, radiomics_tables
 from ..learn.models.model_file import SavedModel, resolve_backend
 from .patient_test import make_film_job
 
-# Statuses of linear radiographs that are not used, because localisation needs a single knee of known side and pixel
-# pitch.
+# Statuses of unused linear radiographs. Localisation needs a single knee of known side and a known pixel pitch.
 BOTH_KNEES = "both knees"
 NO_SIDE = "side not given"
 NO_PITCH = "pixel_mm not given"
@@ -150,18 +149,19 @@ def _compose_warning(pixel_kind: str, path: Path, record: Mapping[str, Any], is_
     unsaid = is_display and not linear and not has_declared_pixel_meaning(path)
     if unsaid:
         notes.append(
-            "the file does not state whether its pixels are linear, so they are interpreted as displayed pixels; if "
-            "the pixels are linear, the result is wrong; use --linear for linear pixels"
+            "the file does not state whether its pixels are linear, so they are interpreted as displayed pixels, "
+            "and the result is wrong if the pixels are linear; use --linear for linear pixels"
         )
     if is_display and pixel_kind == "linear":
         notes.append(
-            "the pixels are displayed pixels, but the model was trained on linear pixels; the grey values are matched "
-            "to the histogram of a standard knee; use a model of a study with --films, trained on displayed pixels"
+            "the image has displayed pixels, but the model was trained on linear pixels, so the grey values are "
+            "matched to the histogram of a standard knee; for a model trained on displayed pixels, use a model file "
+            "from a study with --films"
         )
     if record.get("film_knees") == "two":
         notes.append(
-            f"the image shows two knees; only the {record['film_side']} knee is analysed; split the image to analyse "
-            "both knees"
+            f"the image shows two knees, but only the {record['film_side']} knee is analysed; split the image to "
+            "analyse both knees"
         )
     return " | ".join(notes)
 

@@ -1,4 +1,4 @@
-"""External test on patient radiographs of models trained on cohort radiographs that are rendered for display.
+"""External test: models trained on cohort radiographs that are rendered for display are tested on patient radiographs.
 
 Simulated pixels are linear in the signal, but a patient radiograph is processed for display with an unknown tone curve.
 The cohort radiographs are therefore rendered for display. Joint localisation and feature measurement are then the same
@@ -51,7 +51,7 @@ from ..statistics.scores.patient_scores import (
 
 # Largest number of patient radiographs from which pixel pitch and region size are estimated (assumed sufficient).
 _MAX_SAMPLED_FILMS = 15
-# Label, in model names, of the training set of the models for patient radiographs.
+# Training-set label in the names of the models for patient radiographs.
 FILM_MODEL_LABEL = "films"
 # Measurement stage -> stem of the CSV file in which its records are saved; a resumed run reuses the records.
 _FEATURE_TABLES = {"cohort as displayed": "displays", "patient radiographs": "films_features"}
@@ -170,7 +170,7 @@ def evaluate_on_films(bench: MeasurementContext, films: FilmSet, manifest: pd.Da
     Raises
     ------
     InputError
-        The joint is located in no displayed cohort radiograph of grade 0 or of grade 2, so no model can be trained.
+        The joint is located in no displayed cohort radiograph with grade 0 or 2, so no model can be trained.
     WorkersLostError
         Worker processes are killed repeatedly.
     """
@@ -302,12 +302,12 @@ def _measure_jobs(
 
 
 def _require_grades(usable: pd.DataFrame, protocol: str) -> None:
-    """Raise InputError unless the joint was located in radiographs of grades 0 and 2."""
+    """Raise InputError unless the joint was located in radiographs with grades 0 and 2."""
     grades = sorted({int(grade) for grade in usable["grade"]})
     if not {0, 2} <= set(grades):
         raise InputError(
-            f"training needs cohort radiographs of grades 0 and 2 with a located joint; under {protocol}, the joint is "
-            f"located in radiographs of grades {grades} only: add knees or choose another films_protocol"
+            f"the joint must be located in cohort radiographs with grades 0 and 2, but under {protocol} it is located "
+            f"only in radiographs with grades {grades}: add knees or choose another films_protocol"
         )
 
 

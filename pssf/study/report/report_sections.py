@@ -116,8 +116,8 @@ def make_incremental_value_section(aucs: pd.DataFrame, differences: pd.DataFrame
             f"bound. If the AUC of the true parameters is lower, {subjects} subjects are too few for training.",
         ),
         table=pd.DataFrame(shown),
-        note="An answer is yes or no if the corrected p is below 0.05 and there are enough test subjects. No means "
-        "that the first predictor set in the question has a lower AUC.",
+        note="An answer is yes or no if the corrected p is below 0.05 and there are enough test subjects. The answer "
+        "'no' means that the first predictor set in the question has a lower AUC.",
         files=("incremental_value.csv", "incremental_value_differences.csv"),
         undecided="" if (differences["answer"] != UNDECIDED).any() else _NO_ANSWER,
         pictures=(picture,),
@@ -232,7 +232,7 @@ def make_response_curves_section(
         name="curves",
         title="Response curves",
         sentences=(
-            f"{knees} knees of grade {task} are imaged again while one protocol parameter is changed in steps. The "
+            f"{knees} knees with grade {task} are imaged again while one protocol parameter is changed in steps. The "
             "noise of each image is independent. The first model with the first feature selection is trained on the "
             "unchanged protocol. In every split it is tested on half of the knees, which are not used in training.",
             "The breakpoint of a conclusion is the first step, counted from the unchanged protocol, at which the "
@@ -350,11 +350,12 @@ def make_confounders_section(table: pd.DataFrame) -> Section:
         name="confounders",
         title="Confounders by design",
         sentences=(
-            "At strength s, a fraction (1 + s)/2 of the training subjects of grade 2 is above the median age or BMI, "
-            "or is imaged under the second protocol. The same fraction of grade 0 is below the median, or is imaged "
-            "under the reference protocol. The number of subjects does not depend on s. Test subjects are weighted so "
-            "that the association is present or absent. For the adjusted model, the effect of the confounder on each "
-            "feature is fitted within each grade of the training subjects by least squares, and is then subtracted.",
+            "At strength s, a fraction (1 + s)/2 of the training subjects with grade 2 is above the median age or "
+            "BMI, or is imaged under the second protocol. The same fraction of the subjects with grade 0 is below the "
+            "median, or is imaged under the reference protocol. The number of subjects does not depend on s. Test "
+            "subjects are weighted so that the association is present or absent. For the adjusted model, the effect of "
+            "the confounder on each feature is fitted within each grade of the training subjects by least squares, and "
+            "is then subtracted.",
         ),
         table=pd.DataFrame(shown),
         files=("confounders.csv",),

@@ -30,8 +30,8 @@ def fill_checklist(out: Path, guidelines: Mapping[str, Guideline]) -> dict[str, 
     -------
     dict of str to Any
         Entries by name. versions: version of each guideline. summary: number of items by guideline and status.
-        metrics_score_percent: strict METRICS score: weight of the items answered "yes" divided by the weight of all
-        applicable items. items: guideline, id, item, status and evidence of each item.
+        metrics_score_percent: strict METRICS score, which is the weight of the items answered "yes" divided by the
+        weight of all applicable items. items: guideline, id, item, status and evidence of each item.
     """
     items = [
         {"guideline": name, "id": item.id, "item": item.item, **_answer_item(out, item)}

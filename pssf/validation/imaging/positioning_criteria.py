@@ -30,9 +30,9 @@ from ..raycasting.raycast_engines import Row
 Mask = NDArray[np.bool_]
 # Length of the fibular head, measured downwards from its tip, in mm.
 _HEAD_MM = 20.0
-# Maximum height of the femur points that belong to the condyles, in mm in the frame of the template femur.
+# Maximum height of condyle points, in mm in the frame of the template femur.
 _CONDYLE_MM = 20.0
-# Minimum distance from the midline of the femur points that belong to a condyle, in mm in the same frame.
+# Minimum distance of condyle points from the midline of the femur, in mm in the frame of the template femur.
 _ASIDE_MM = 8.0
 # Protocols whose criteria are measured.
 _VIEWS = ("ap_standing", "rosenberg", "lateral", "skyline")

@@ -1,8 +1,8 @@
 """Effects of beam angle and leg rotation on radiographs of simulated knees, compared with published values.
 
-Knees of grades 0 to 2 are sampled from the grade table ``population``, with one sampled acquisition per knee. The mean
-plateau slope in ``grades/population.toml`` was chosen to reproduce the plateau margins of patients in fixed flexion.
-No other parameter is fitted to the reference values.
+Knees with grades 0 to 2 are sampled from the grade table ``population``, with one sampled acquisition per knee. The
+mean plateau slope in ``grades/population.toml`` was chosen to reproduce the plateau margins of patients in fixed
+flexion. No other parameter is fitted to the reference values.
 """
 
 from dataclasses import replace

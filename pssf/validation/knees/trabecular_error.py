@@ -152,7 +152,7 @@ def compare_texture_with_patients(count: int, workers: int) -> list[Row]:
     Parameters
     ----------
     count : int
-        Number of sampled knees, all of grade 0, imaged with the protocol ``reference``.
+        Number of sampled knees, all with KL grade 0, imaged with the protocol ``reference``.
     workers : int
         Number of worker processes.
 

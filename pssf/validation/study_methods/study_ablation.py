@@ -52,7 +52,7 @@ ABLATION_CASES = (
     AblationCase("texture families of features", settings={"families": ("firstorder", "shape2D")}),
     AblationCase("mRMR, forest, XGBoost", settings={"selections": ("l1",), "models": ("lr",)}),
     AblationCase("models and report (features only)", last_step="features"),
-    AblationCase("regions, features, models, report (cohort only)", last_step="cohort"),
+    AblationCase("regions, features, models and report (cohort only)", last_step="cohort"),
 )
 
 

@@ -68,8 +68,8 @@ def tune_classifier(
     training : tuple of DataFrame and (rows,) int64 array
         Features and class index of the training rows.
     validation : tuple of DataFrame and (rows,) int64 array
-        Features and class index of the validation rows. Without validation rows, the first hyperparameters in the grid
-        are used, which have the strongest regularisation.
+        Features and class index of the validation rows. Without validation rows, the first hyperparameters in the grid,
+        which have the strongest regularisation, are used.
     seed : int
         Seed of the classifier.
 

@@ -92,7 +92,7 @@ def refit_models(
             first = rows[rows["subject"].isin(split.training)]
             fit_on = make_labelled_features(first, names, classes)
             if len(set(fit_on[1])) < len(classes):
-                continue  # No region of a class is located under these protocols.
+                continue  # At least one class has no located region under these protocols.
             check_on = make_labelled_features(rows[rows["subject"].isin(split.validation)], names, classes)
             whole = make_labelled_features(rows, names, classes)
             for selection in settings.selections:

@@ -35,8 +35,8 @@ def make_film_pictures(external: FilmTestResult, settings: StudySettings) -> dic
             name="films",
             png=_draw_by_grade(graded, columns),
             alt="Predicted probability of grade 2 of each patient radiograph, grouped by KL grade, one panel per model",
-            caption="Patient radiographs: predicted probability of KL-like grade 2, grouped by the KL grade assigned "
-            f"by the reader, {SELECTIONS[selection]} selection. Bar: median.",
+            caption="Predicted probability of KL-like grade 2 for each patient radiograph, grouped by the KL grade "
+            f"that the reader assigned; {SELECTIONS[selection]} selection. Bar: median.",
         )
     }
 

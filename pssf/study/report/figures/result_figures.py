@@ -229,7 +229,7 @@ def draw_calibration_curves(curve: pd.DataFrame, selection: str) -> bytes:
 def draw_confusion_matrices(predictions: pd.DataFrame, task: str, selection: str) -> bytes:
     """Draw the confusion matrices of a task over all splits; rows are scenarios, columns are models.
 
-    The colour of a cell shows the fraction of the true grade.
+    The colour of a cell shows the fraction of the knees with the true grade that have the predicted grade.
 
     Parameters
     ----------

@@ -92,7 +92,7 @@ def pair_auc_differences(splits: pd.DataFrame, predictor_set: str, reference_set
     splits : DataFrame
         Rows of `learn.incremental_value.evaluate_predictor_sets` for one pair of grades and one training fraction.
     predictor_set : str
-        Predictor set whose AUC is compared: the AUC of `reference_set` is subtracted from it.
+        Predictor set from whose AUC the AUC of `reference_set` is subtracted.
     reference_set : str
         Predictor set whose AUC is subtracted.
 

@@ -177,7 +177,7 @@ def _centre_within_grade(ranks: Array, grades: pd.Series) -> Array:
 
 
 def select_strongest_correlations(table: pd.DataFrame) -> pd.DataFrame:
-    """Select the parameter with the strongest correlation for each feature.
+    """For each feature, select the parameter with the strongest correlation.
 
     Parameters
     ----------

@@ -79,7 +79,7 @@ def find_leakage_warnings(manifest: pd.DataFrame) -> list[str]:
 
 
 def find_leakage_notes(manifest: pd.DataFrame) -> list[str]:
-    """Report a difference between the grade distributions of the protocols that is too small for a warning.
+    """Report a difference between the grade distributions of the protocols if it is too small for a warning.
 
     Parameters
     ----------

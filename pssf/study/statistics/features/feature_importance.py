@@ -5,7 +5,7 @@ import pandas as pd
 from ....radiomics.features.feature_families import FAMILIES, feature_family
 from ...design.study_settings import StudySettings
 
-# Number of features, those with the largest importance, that figures show individually.
+# Number of the most important features, which figures show individually.
 _LEADING_COUNT = 5
 
 

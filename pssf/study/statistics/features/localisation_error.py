@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 
-# Threshold of a gross localisation error, in mm: about one joint space width, beyond which the region is at another
-# anatomical site.
+# Threshold of a gross localisation error, in mm: about one joint space width. If the error is larger, the region is at
+# another anatomical site.
 GROSS_ERROR_MM = 5.0
 
 

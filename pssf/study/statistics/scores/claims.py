@@ -33,8 +33,8 @@ COLUMNS = ["claim", "measure", "value", "low", "high", "bound", "verdict"]
 # Claimed trends: claim, feature and expected sign for linear pixels. Denser bone transmits less radiation, so it is
 # brighter in a displayed radiograph but has a lower linear signal.
 _TRENDS = (
-    ("First-order mean rises with grade (bone bright)", "firstorder_linear_Mean", -1),
-    ("First-order energy rises with grade (bone bright)", "firstorder_linear_Energy", -1),
+    ("First-order mean rises with grade (with bright bone)", "firstorder_linear_Mean", -1),
+    ("First-order energy rises with grade (with bright bone)", "firstorder_linear_Energy", -1),
     ("GLCM contrast rises with grade", "glcm_Contrast", +1),
     ("GLCM entropy rises with grade", "glcm_JointEntropy", +1),
     ("GLCM dissimilarity rises with grade", "glcm_DifferenceAverage", +1),
@@ -289,9 +289,9 @@ def _evaluate_grade_order(predictions: pd.DataFrame, settings: StudySettings, ra
     decidable, rows = has_enough_test_subjects(counts.median()), []
     for upper in (1, 2):
         of_splits = estimate_mean(by_split[:, upper - 1], ratio, -2.0, 2.0)
-        measure = f"mean predicted grade, knees of grade {upper} minus knees of grade {upper - 1}, {arm}"
+        measure = f"mean predicted grade, knees with grade {upper} minus knees with grade {upper - 1}, {arm}"
         estimated = of_splits.value, of_splits.low, of_splits.high
-        claim = "Predicted grades of grade 1 lie between those of 0 and 2"
+        claim = "Predicted grades of knees with grade 1 lie between those with grades 0 and 2"
         rows.append(_make_claim_row(claim, measure, estimated, 0.0, decidable=decidable))
     of_splits = estimate_mean(np.array(spared), ratio)
     measure = f"fraction of two-grade errors, expected by chance minus observed, {arm}"
