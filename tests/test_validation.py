@@ -10,15 +10,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
+from conftest import build_once
 from numpy.testing import assert_allclose
 
-from pssf import InputError, load_protocol, validation
+from pssf import InputError, Knee, load_protocol, validation
 from pssf.cohort import plan_cohort
 from pssf.data.analysis.reference_table import load_reference_tables
 from pssf.geometry.view import resolve_view
 from pssf.study import StudySettings
 from pssf.validation import validation_figure
-from pssf.validation.imaging import stage_errors, stage_times
+from pssf.validation.imaging import stage_errors, stage_times, throughput
 from pssf.validation.knees import build_success, morphometry, trabecular_error
 from pssf.validation.raycasting import (
     engine_agreement,
@@ -215,6 +216,19 @@ def test_a_validation_run_writes_the_requested_tables(tmp_path, monkeypatch):
     assert messages == ["stages", "agreement", "spectrum"]
     with open(paths[0]) as handle:
         assert list(csv.DictReader(handle)) == [{"a": "1", "b": "2.5"}]
+
+
+def test_throughput_is_measured_for_new_knees_and_other_acquisitions(monkeypatch):
+    monkeypatch.setattr(throughput, "_MATRICES", (64,))
+    monkeypatch.setattr(throughput, "build", build_once)
+    monkeypatch.setattr(throughput, "sample_knee", lambda **_: Knee(jsw_definition="read"))
+    new, other = throughput.measure_throughput(1)
+    assert [row["case"] for row in (new, other)] == ["new knee", "another acquisition"]
+    for row in (new, other):
+        parts = sum(row[f"{part}_seconds"] for part in ("build", "ray", "label", "other"))
+        assert 0 < row["cpu_seconds"] < 2 * parts
+        assert row["images_per_minute"] == pytest.approx(60 / row["cpu_seconds"], rel=0.02)
+        assert 0.008 < row["disk_mb"] < 0.1
 
 
 def test_an_unknown_validation_table_is_rejected(tmp_path):
