@@ -337,7 +337,7 @@ def add_side_marker(image: LatentImage, context: StageContext) -> None:
     Parameters
     ----------
     image : LatentImage
-        Image with a signal, which is modified.
+        Image whose signal is modified in place.
     context : StageContext
         Technique and settings.
     """
@@ -351,7 +351,7 @@ def add_quantum_noise(image: LatentImage, context: StageContext) -> None:
     Parameters
     ----------
     image : LatentImage
-        Image with a signal; the noisy signal is set.
+        Image with a signal. The noisy signal is written to the image.
     context : StageContext
         Technique and settings.
     """
@@ -367,7 +367,7 @@ def blur_panel(image: LatentImage, context: StageContext) -> None:
     Parameters
     ----------
     image : LatentImage
-        Image with a signal, which is modified. A noisy signal is modified too.
+        Image whose signal is blurred in place, together with its noisy signal if present.
     context : StageContext
         Technique and settings.
     """
@@ -395,7 +395,8 @@ def read_out(image: LatentImage, context: StageContext) -> None:
     Parameters
     ----------
     image : LatentImage
-        Image with a signal; the pixels are set, and ``noise_free`` is stored if requested.
+        Image with a signal. The pixel values are written to the image, and noise-free pixel values are stored in
+        ``kept["noise_free"]`` if requested.
     context : StageContext
         Technique and settings.
     """

@@ -146,7 +146,7 @@ def test_bones_in_contact_do_not_overlap(spaces, posture):
 def test_bones_that_would_overlap_are_rejected(knee, built, monkeypatch):
     pose = built.assembly.pose
     sunk = dataclasses.replace(built.assembly, pose=dataclasses.replace(pose, raise_mm=pose.raise_mm - 12.0))
-    monkeypatch.setattr("pssf.anatomy.built_knee.assemble_knee", lambda *_: sunk)
+    monkeypatch.setattr("pssf.anatomy.built_knee.pose_knee", lambda *_: sunk)
     with pytest.raises(pssf.InputError, match=r"femur and tibia overlap by more than 7 mm, .* mm3"):
         pssf.build(knee)
 

@@ -260,7 +260,7 @@ def test_the_retest_manifest_lists_the_kind_and_number_of_each_repeat(tmp_path):
     assert beams == {-1.0, 0.0, 1.0}
 
 
-def test_a_retest_needs_retested_knees_and_a_known_protocol(protocols):
+def test_a_retest_requires_at_least_one_knee_and_a_known_protocol(protocols):
     assert cohort.plan_retest(plan_tiny_cohort(protocols, retested=0)) is None
     with pytest.raises(pssf.InputError, match=r"protocol must be one of reference, low_dose, .*got 'x'"):
         cohort.plan_retest(plan_tiny_cohort(protocols), reference="x")

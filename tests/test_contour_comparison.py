@@ -186,7 +186,7 @@ def write_manifest(folder, monkeypatch, labels, side):
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
-def test_landmarks_of_a_cohort_are_its_projected_labels(side, tmp_path, monkeypatch):
+def test_landmarks_of_simulated_knees_equal_their_projected_labels(side, tmp_path, monkeypatch):
     labels = {f"k{k}.tif": (k % 2, make_contours(grade=k % 2, count=1, seed=k).landmarks_mm[0]) for k in range(6)}
     write_manifest(tmp_path, monkeypatch, labels, side)
     sample = load_cohort_landmarks(tmp_path, "fixed_flexion")

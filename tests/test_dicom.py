@@ -200,7 +200,7 @@ def test_technique_and_patient_attributes_match_protocol_and_knee(radiograph, tm
 def test_a_monoenergetic_beam_has_no_tube_attributes(make_variant, small, tmp_path):
     found = write_and_read(make_variant(protocol=dataclasses.replace(small, mono_kev=40.0)), tmp_path)
     assert not {"KVP", "AnodeTargetMaterial", "FilterMaterial", "FilterThicknessMinimum"} & set(found.dir())
-    assert "one energy, 40 keV" in found.ImageComments
+    assert "Monoenergetic beam, 40 keV" in found.ImageComments
 
 
 def test_half_a_milliampere_second_is_not_rounded_to_zero(make_variant, small, tmp_path):

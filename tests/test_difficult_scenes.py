@@ -348,7 +348,7 @@ def test_cavities_are_empty_and_paths_through_several_bodies_add_up(engine):
 
 
 @pytest.mark.parametrize("first", [0, 9, 11])
-def test_a_hole_flush_with_a_wall_is_empty_for_any_order_of_faces(engine, first):
+def test_a_hole_that_touches_an_outer_wall_is_empty_for_any_face_order(engine, first):
     outer, hole = make_box(40, 40, 40), make_box(10, 10, 10, at=(15.0, 0.0, 0.0))
     faces = np.vstack((outer.faces, np.roll(hole.faces[:, ::-1], -first, axis=0) + 8))
     mesh = trimesh.Trimesh(np.vstack((outer.vertices, hole.vertices)), faces, process=False)

@@ -29,7 +29,7 @@ def population():
     return estimate_separability("population", knees=600, seed=3).set_index(["grades", "parameters", "method"])
 
 
-def test_jsw_separates_grades_in_table_paper_but_not_in_population(population):
+def test_jsw_separates_grades_of_the_paper_table_but_not_of_population(population):
     paper = estimate_separability("paper", knees=300, seed=3).set_index(["grades", "parameters", "method"])
     assert paper.loc[("0 vs 2", "smaller JSW", "by rank"), "auc"] > 0.99
     early = population.loc[("0 vs 2", "smaller JSW", "by rank")]

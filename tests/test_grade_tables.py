@@ -164,7 +164,7 @@ varus_deg = [0.0, 0.0]
     [
         ('base = "paper"\n[grade.3]\njsw_medial_mm = [1.0, 2.0]\n', "missing required field"),
         ('base = "nobody"\n', "grade_table must be paper, population, or the path"),
-        ('base = "own.toml"\n', "must not form a loop"),
+        ('base = "own.toml"\n', "must not be circular"),
         ("base = 3\n", "must be the name or path of a table, got 3"),
         ("body = 3\n", "grades own.toml"),
     ],

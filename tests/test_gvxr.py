@@ -36,11 +36,13 @@ KEV_PER_MEV = 1000.0
 PROTOCOL = dataclasses.replace(pssf.load_protocol("reference"), rows=480, cols=512, pixel_mm=0.6, beam_angle_deg=7.0)
 VIEW = resolve_view(PROTOCOL)
 
-# ROUNDED_MM bounds the error of rounding to 1/256 of a pixel and of float32 away from rims; on llvmpipe 99.9 % of the
-# pixels of a sphere are within 9e-4 mm. At a rim a pixel may be inside or outside: 1/512 of 0.6 mm inside its rim, a
-# sphere of 50 mm is sqrt(8 x 50 x 0.6 / 512) = 0.7 mm deep. Measured errors are up to 0.6 mm at 3 pixels in 10 000.
+# Largest error away from rims, in mm. Errors come from rounding to 1/256 of a pixel and from float32. On llvmpipe,
+# 99.9 % of the pixels of a sphere have errors below 9e-4 mm.
 ROUNDED_MM = 0.002
+# Largest error at rims, in mm. An offset of half a rounding step (0.6 mm / 512) changes the path length at the rim of a
+# sphere with a radius of 50 mm by up to sqrt(8 x 50 x 0.6 / 512) = 0.7 mm. The largest measured error is 0.6 mm.
 RIM_MM = 1.0
+# Largest fraction of pixels with rim errors; 3 in 10 000 were measured.
 RIM_FRACTION = 1e-3
 
 

@@ -397,7 +397,7 @@ def test_edge_evidence_selects_the_side_only_for_matches_at_one_joint():
 
 
 @pytest.mark.parametrize("invert", [np.array, np.negative, np.flipud])
-def test_a_mirrored_film_has_the_opposite_side_evidence(simulated, invert):
+def test_mirroring_a_film_reverses_the_evidence_for_its_side(simulated, invert):
     whole, _, templates = simulated
     film = invert(compute_density(whole.pixels))
 

@@ -1,12 +1,14 @@
 """Check flexed knees and PA views: posture preserves anatomy, and labels agree with the projection."""
 
 import dataclasses
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 import pssf
+from pssf.anatomy import built_knee
 from pssf.anatomy.meshing.solids import extract_mesh
 from pssf.anatomy.posture.flexion import flex_pose
 from pssf.core.checks import InputError
@@ -16,6 +18,11 @@ REFERENCE = pssf.load_protocol("reference")
 FIXED_FLEXION = pssf.load_protocol("fixed_flexion")
 SMALL = dict(rows=256, cols=256, pixel_mm=1.2)
 READ = pssf.Knee(jsw_medial_mm=4.2, jsw_lateral_mm=5.1, jsw_definition="read", flexion_deg=3.0, rotation_deg=2.0)
+
+# Knee with an osteophyte, whose bones take a second to grow.
+GROWN_KNEE = pssf.Knee(
+    jsw_medial_mm=3.0, side="left", osteophytes=(pssf.Osteophyte(site="medial_tibia", size_mm=2.0),), fabella_mm=8.0
+)
 
 
 @pytest.fixture(scope="module")
@@ -177,3 +184,28 @@ def test_sampled_knees_can_be_flexed(flexion_deg, seed):
     knee = pssf.sample_knee(grade=2, rng=np.random.default_rng(seed), grade_table="paper")
     protocol = dataclasses.replace(FIXED_FLEXION, flexion_deg=flexion_deg, **SMALL)
     assert pssf.build(knee, protocol).scene.surfaces
+
+
+def test_another_posture_keeps_the_bones_and_gives_identical_surfaces(monkeypatch):
+    lateral = pssf.load_protocol("lateral")
+    pssf.build(GROWN_KNEE)
+    with monkeypatch.context() as patch:
+        patch.setattr(built_knee, "grow_bones", lambda *_: pytest.fail("grown again"))
+        patch.setattr(built_knee, "build_bones", lambda *_: pytest.fail("built again"))
+        again = pssf.build(GROWN_KNEE, lateral)
+    # Another thread keeps no bones.
+    with ThreadPoolExecutor(1) as pool:
+        anew = pool.submit(pssf.build, GROWN_KNEE, lateral).result()
+    for one, other in zip(again.scene.surfaces, anew.scene.surfaces, strict=True):
+        assert one.name == other.name
+        assert np.array_equal(one.mesh_arrays.vertices, other.mesh_arrays.vertices), one.name
+        assert np.array_equal(one.mesh_arrays.faces, other.mesh_arrays.faces), one.name
+
+
+def test_a_knee_with_other_parameters_shares_no_bones_with_the_last_one():
+    narrow = dataclasses.replace(GROWN_KNEE, jsw_medial_mm=GROWN_KNEE.jsw_medial_mm - 1.0)
+    labels = [
+        pssf.build(knee).truth(pssf.load_protocol("reference")).jsw_medial_mm
+        for knee in (GROWN_KNEE, narrow, GROWN_KNEE)
+    ]
+    assert labels == pytest.approx([3.0, 2.0, 3.0], abs=1e-3)

@@ -101,7 +101,7 @@ def test_a_protocol_inherits_missing_fields_from_its_base(tmp_path):
 def test_a_circular_or_missing_base_raises_an_error(tmp_path):
     (tmp_path / "a.toml").write_text('base = "b.toml"\n')
     (tmp_path / "b.toml").write_text('base = "a.toml"\n')
-    with pytest.raises(InputError, match=r"base of protocol a.toml must not form a loop, got a.toml"):
+    with pytest.raises(InputError, match=r"bases of protocol a.toml must not be circular, got a.toml twice"):
         load_protocol(tmp_path / "a.toml")
     (tmp_path / "c.toml").write_text('base = "refrence"\n')
     with pytest.raises(InputError, match=r"protocol must be .*, got 'refrence'"):

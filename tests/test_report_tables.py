@@ -54,7 +54,7 @@ def test_scores_of_too_few_test_subjects_allow_no_conclusion():
     assert "No value" in explain_undecided_scores(table.assign(auc_low=np.nan))
 
 
-def test_the_table_of_claims_is_undecided_only_if_all_claims_are():
+def test_the_overall_verdict_is_undecided_only_if_all_claims_are():
     assert explain_undecided_claims(pd.DataFrame({"verdict": ["not decidable", "holds"]})) == ""
     assert "No claim is decided" in explain_undecided_claims(pd.DataFrame({"verdict": ["not decidable"] * 2}))
 

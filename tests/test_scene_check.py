@@ -105,7 +105,7 @@ def test_check_reports_edges_with_more_than_two_faces():
     )
 
 
-def test_a_cavity_flush_with_a_wall_is_no_overlap():
+def test_a_cavity_that_touches_a_wall_is_not_reported_as_an_overlap():
     outer, hole = trimesh.creation.box(3 * [40]), trimesh.creation.box(3 * [10])
     hole.apply_translation((15, 0, 0))
     hole.invert()

@@ -94,7 +94,7 @@ def test_without_masks_there_is_no_segmentation_accuracy(tmp_path):
         assert make_segmentation_section(table) == []
 
 
-def test_subjects_per_feature_are_reported_for_the_worst_split():
+def test_the_lowest_ratio_of_subjects_to_features_is_reported():
     usable = pd.DataFrame({"subject": range(30), "grade": [0, 1, 2] * 10})
     subjects = pd.DataFrame({"repeat": [0] * 30 + [1] * 30, "subject": [*range(30)] * 2, "part": "training"})
     # The test part of split 0 has two subjects of each grade.

@@ -82,7 +82,7 @@ def test_path_lengths_through_skin_folds_are_not_negative():
     assert np.median(np.abs(thinner)) < 0.05
 
 
-def test_fold_depth_depends_on_bmi_and_is_zero_in_table_paper():
+def test_fold_depth_depends_on_bmi_and_is_zero_in_the_paper_grade_table():
     def sample_folds(bmi, grade_table="population"):
         streams = (np.random.default_rng(seed) for seed in range(40))
         return np.array([sample_knee(grade=1, rng=rng, grade_table=grade_table, bmi=bmi).skin_folds for rng in streams])

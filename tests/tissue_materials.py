@@ -12,7 +12,7 @@ def find_material(name: str) -> Material:
 
 
 def build_limb(thick_mm: float) -> Scene:
-    """Build an elliptic limb phantom with the tissues of the package."""
+    """Build an elliptical limb phantom with the tissues of the package."""
     return scatter_phantoms.build_limb(thick_mm, load_tissues())
 
 

@@ -103,7 +103,7 @@ def simulate(
     warn_of_cropped_field(of_protocol)
     require_workers(workers)
     _require_knee_options(scene is not None, subject, masks, border)
-    with show_status("simulating; the first run after installation also compiles code, which takes some seconds"):
+    with show_status("simulating; the first run after installation also compiles code, which takes a few seconds"):
         from ..detector import DISPLAY_PROCESSING
         from ..geometry.scene import Scene
         from ..io.atomic_write import make_folder

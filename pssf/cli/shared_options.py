@@ -21,7 +21,7 @@ def _count_cores() -> int:
 
 
 Out = Annotated[Path, typer.Option("--out", help="Output folder; created if it does not exist.")]
-Seed = Annotated[int, typer.Option(help="Seed of all random numbers; the same seed gives the same bytes.")]
+Seed = Annotated[int, typer.Option(help="Seed of all random numbers; the same seed gives byte-identical output.")]
 Grade = Annotated[
     int,
     typer.Option(help="KL grade of the sampled knee: 0 to 4 for grade table population, 0 to 2 for grade table paper."),

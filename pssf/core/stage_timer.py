@@ -19,7 +19,7 @@ def make_interval_check(seconds: float, clock: Callable[[], float] = perf_counte
     Returns
     -------
     callable
-        Function that returns True if the interval has passed since it was created, or since it last returned True.
+        Function that returns True if the interval has passed since its creation or its last True result.
     """
     last = clock()
 

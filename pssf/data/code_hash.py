@@ -34,7 +34,7 @@ TABLES_NOT_AFFECTING_PIXELS = {
     (
         "reference.toml",
         "analysis/reference_table.py",
-    ): "published values, for comparison with measured quality and accuracy",
+    ): "published reference values, for comparison with measured image quality and measurement accuracy",
     ("reporting.toml", "analysis/reporting_table.py"): "checklists in the report of a study",
 }
 

@@ -61,7 +61,7 @@ def read_protocol_fields(name_or_path: str | PathLike[str]) -> tuple[dict[str, A
     Raises
     ------
     InputError
-        If the name is unknown, the file is not readable TOML, or the chain of base protocols contains a loop.
+        If the name is unknown, the file is not readable TOML, or the chain of base protocols is circular.
     """
     fields: dict[str, Any] = {}
     path = first = _resolve_protocol_path(name_or_path)
@@ -70,7 +70,7 @@ def read_protocol_fields(name_or_path: str | PathLike[str]) -> tuple[dict[str, A
         with convert_os_errors(path, "a readable TOML file"):
             here = Path(os.path.realpath(path))
         if here in seen:
-            raise InputError(f"base of protocol {first.name} must not form a loop, got {path.name}")
+            raise InputError(f"bases of protocol {first.name} must not be circular, got {path.name} twice")
         seen.append(here)
         fields = read_toml(path) | fields
         base = fields.pop("base", None)

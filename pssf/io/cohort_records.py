@@ -439,9 +439,10 @@ def read_csv(path: Path, required: tuple[str, ...]) -> list[Row]:
     rows: list[Row] = list(read_csv_rows(path)[1])
     for name in required:
         if not rows or any(row.get(name) is None for row in rows):
+            fault = f"a row without {name}" if rows else "no rows"
             raise InputError(
-                f"file {path}: every row must have the columns {', '.join(required)}, got no row, or a row without "
-                f"{name}"
+                f"file {path} must have at least one row, and every row must have the columns {', '.join(required)}, "
+                f"got {fault}"
             )
     return rows
 

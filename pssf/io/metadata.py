@@ -25,7 +25,7 @@ from ..model.radiograph import Radiograph, Truth
 
 
 class LabelWarning(UserWarning):
-    """Warning that labels in a file belong to another view and are omitted."""
+    """Warning that labels in a file refer to a different view and are omitted."""
 
 
 class UnverifiedNotice(UserWarning):
@@ -325,8 +325,8 @@ def _make_truth(entry: _TruthEntry, path: Path) -> Truth:
     fields["jsw_at_mm"] = {float(fraction): space for fraction, space in entry.jsw_at_mm.items()}
     if entry.jsw_medial_mm is not None and "medial_jsw_femur" not in entry.landmarks_px:
         warnings.warn(
-            f"file {path} was written by an earlier version, whose joint space labels belong to another view "
-            "and are omitted; simulate the knee again to obtain the labels",
+            f"file {path} was written by an earlier version; its joint space labels were omitted, because they refer "
+            "to a different view; simulate the knee again to obtain the labels",
             LabelWarning,
             stacklevel=2,
         )

@@ -341,7 +341,7 @@ def load_protocol(name_or_path: str | PathLike[str]) -> Protocol:
     ------
     InputError
         If the name is unknown, the file cannot be read, a field name is unknown or missing, a value is not allowed, or
-        the chain of ``base`` files contains a loop.
+        the chain of ``base`` files is circular.
 
     Examples
     --------

@@ -162,7 +162,9 @@ def coarsen_kernel_input(
 
 
 def compute_air_gaps_mm(scene: Scene, view: View) -> Array:
-    """Compute the air gaps from the ray exit points to the detector plane, for a square grid of rays around the field.
+    """Compute the air gaps from the ray exit points to the detector plane, for a square grid of rays.
+
+    The grid is centred on the field, and its side is the longer side of the field.
 
     Parameters
     ----------

@@ -323,8 +323,8 @@ def _fit_protrusion(
         shape = make(stands_mm, out)
         near = shape.farthest_point + np.vstack((np.zeros(3), _STEP_MM * np.eye(3)))
         reach = deform(near) @ direction
-        # At the farthest point of the ball, the normal is parallel to the gradient of the deformed position along
-        # `direction`.
+        # Finite-difference gradient of the deformed coordinate along `direction`. At the farthest point of the sphere
+        # at the tip, the surface normal is parallel to this gradient.
         slope = reach[1:] - reach[0]
         out = slope / np.linalg.norm(slope)
         stands_mm += size_mm - (float(reach[0]) - margin_mm)

@@ -182,8 +182,8 @@ def _intersect_inset_bone(within: Manifold, bone: Manifold, direction: Array) ->
     about = bone ^ build_bounding_box(within, 2 * _DRAWN_IN_MM)
     within = within ^ about
     for way in (*np.eye(3), *-np.eye(3), -direction):
-        # The surfaces of two copies intersect at many locations, so the shifted copies of the bone are intersected one
-        # by one.
+        # Surfaces of two shifted bone copies cross at many locations. `status` therefore evaluates each intersection
+        # separately, because Manifold may otherwise intersect the copies with each other first.
         within.status()
         within = within ^ about.translate(_DRAWN_IN_MM * way)
     return within

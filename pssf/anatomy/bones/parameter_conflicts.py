@@ -31,8 +31,8 @@ _PARAMETERS_BY_BONE = {
     "fibula": ("fibular_tip_mm",),
     "fabella": ("fabella_mm",),
 }
-# Smallest difference between a field and its usual value at which an error message names the field, as a fraction of
-# half its range.
+# An error message names a field only if the field differs from its usual value by at least this fraction of half its
+# range.
 _LEAST_SHARE = 0.25
 # Smallest osteophyte size at which an error message names the osteophyte, in mm.
 _LEAST_MM = 2.0

@@ -69,8 +69,8 @@ def repair_nesting(name: str, part: Bone) -> Bone:
         raise SolidConflictError(
             f"trabecular bone of the {name} must be inside the solid around it, got {outside_mm3:.3g} mm3 outside"
         )
-    # Only the bone around the protrusions is copied. Complete copies intersect at many locations, so their intersection
-    # would take a second.
+    # Only the bone around the protrusions is copied. The surfaces of complete copies cross at many locations, so the
+    # computation of their intersection would take a second.
     pieces = outside.decompose()
     about = part.outer ^ _unite_boxes(pieces, _ABOUT_MM + 2 * _DRAWN_IN_MM)
     ways = [about.translate(tuple(way)) for way in _DRAWN_IN_MM * np.vstack((np.eye(3), -np.eye(3)))]

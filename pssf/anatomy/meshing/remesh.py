@@ -86,7 +86,7 @@ def refine_bone(solid: Manifold, edge_mm: float, shaft_from_mm: float) -> Manifo
 def mesh_bone(
     csg_solid: Manifold, field: ScalarField, edge_mm: float, tolerances_mm: Sequence[float]
 ) -> list[Manifold]:
-    """Mesh a bone on its distance field once per tolerance, with smaller triangles where the bone is curved.
+    """Mesh a bone from its distance field, once for each tolerance, with smaller triangles where curvature is high.
 
     Parameters
     ----------

@@ -107,7 +107,7 @@ def _measure_gaps_mm(at: Pose, sides: list[Array], surface: LinearNDInterpolator
 
 
 def _select_highest_points(places: Array) -> tuple[Array, Array]:
-    """Select the highest point per grid cell from points (n, 3), and return its x and y (m, 2) and z (m,), in mm."""
+    """Select the highest point per grid cell from points (n, 3); return its x and y (m, 2) and z (m,), all in mm."""
     cell = np.floor(places[:, :2] / _CELL_MM).astype(np.int64)
     order = np.lexsort((-places[:, 2], cell[:, 1], cell[:, 0]))
     first = np.ones(len(order), np.bool_)

@@ -44,17 +44,17 @@ _FEMUR_BELOW_MM = 24.0
 _TIBIA_ABOVE_MM = -14.0
 # Tolerance of the JSW, mm.
 _TOLERANCE_MM = 1e-4
-# First tolerance for the height of the joint line above the origin, in mm. Within this tolerance, the tibia is not
-# moved further, because each move shifts landmarks on the plateau floor abruptly.
+# Initial tolerance for the joint-line height above the origin, in mm. Within this tolerance, the tibia is not moved
+# further, because each move shifts landmarks on the plateau floor abruptly.
 _LEVEL_MM = 0.02
-# First iteration with the second tolerance for the height of the joint line. A larger tolerance helps if landmark
+# First iteration with the second tolerance for the joint-line height. A larger tolerance helps if landmark
 # shifts prevent convergence.
 _LEVELLED = 8
-# Second tolerance for the height of the joint line above the origin, in mm.
+# Second tolerance for the joint-line height above the origin, in mm.
 _NEARLY_LEVEL_MM = 0.2
-# First iteration with the third tolerance for the height of the joint line.
+# First iteration with the third tolerance for the joint-line height.
 _GIVEN_UP = 16
-# Third tolerance for the height of the joint line above the origin, in mm.
+# Third tolerance for the joint-line height above the origin, in mm.
 _FAR_FROM_LEVEL_MM = 1.0
 # Largest number of Newton iterations without wear.
 _MAX_ITERATIONS = 40
@@ -88,9 +88,9 @@ def solve_pose(
     bone_parameters : BoneParameters
         Parameters of the bones of the knee.
     femur : BoneWithOsteophytes
-        Outer femur with osteophytes.
+        Outer surface of the femur with osteophytes.
     tibia : BoneWithOsteophytes
-        Outer tibia with osteophytes.
+        Outer surface of the tibia with osteophytes.
     protocol : Protocol
         Protocol under which the specified JSW of the knee applies. The resulting pose has the posture of this protocol.
 
@@ -169,7 +169,7 @@ def _refine_for_wear(target_jsw_mm: Array, measure: PoseMeasure, pose: Pose) -> 
 
 
 def _select_level_tolerance_mm(iteration: int) -> float:
-    """Return the tolerance for the height of the joint line at an iteration, mm."""
+    """Return the tolerance for the joint-line height at an iteration, mm."""
     if iteration < _LEVELLED:
         return _LEVEL_MM
     return _NEARLY_LEVEL_MM if iteration < _GIVEN_UP else _FAR_FROM_LEVEL_MM

@@ -23,9 +23,37 @@ from .flexion import flex_pose
 from .joint_space_solver import solve_pose
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class GrownBones:
+    """Femur and tibia with osteophytes, and the poses that do not depend on the posture of the radiograph.
+
+    Attributes
+    ----------
+    jsw_protocol : Protocol
+        Protocol that defines the JSW.
+    bone_parameters : BoneParameters
+        Parameters of the bones of the knee. The valgus angle of the femoral shaft compensates for the femoral tilt.
+    femur : BoneWithOsteophytes
+        Outer surface of the femur with osteophytes, at template size.
+    tibia : BoneWithOsteophytes
+        Outer surface of the tibia with osteophytes, at template size.
+    jsw_pose : Pose
+        Pose of the leg under `jsw_protocol`.
+    straight_pose : Pose
+        Pose of the straight leg.
+    """
+
+    jsw_protocol: Protocol
+    bone_parameters: BoneParameters
+    femur: BoneWithOsteophytes
+    tibia: BoneWithOsteophytes
+    jsw_pose: Pose
+    straight_pose: Pose
+
+
 @dataclass(frozen=True, kw_only=True)
 class KneeAssembly:
-    """Bones of a knee in a posture: outer femur and tibia at template size, and their pose.
+    """Bones of a knee in a posture: outer surfaces of femur and tibia at template size, and their pose.
 
     Attributes
     ----------
@@ -38,9 +66,9 @@ class KneeAssembly:
     bone_parameters : BoneParameters
         Parameters of the bones of the knee.
     femur : BoneWithOsteophytes
-        Outer femur with osteophytes, at template size.
+        Outer surface of the femur with osteophytes, at template size.
     tibia : BoneWithOsteophytes
-        Outer tibia with osteophytes, at template size.
+        Outer surface of the tibia with osteophytes, at template size.
     pose : Pose
         Pose of the leg in `posture`.
     mirror : (float, float, float)
@@ -208,43 +236,102 @@ def assemble_knee(knee: Knee, bone_parameters: BoneParameters, posture: Posture,
         If no pose gives the JSW, if the femur cannot rest on the tibia in this flexion, or if one osteophyte hides
         another osteophyte.
     """
+    return pose_knee(knee, grow_bones(knee, bone_parameters, protocol), posture)
+
+
+def grow_bones(knee: Knee, bone_parameters: BoneParameters, protocol: Protocol) -> GrownBones:
+    """Add the osteophytes to femur and tibia, and solve the pose that gives the specified JSW.
+
+    Parameters
+    ----------
+    knee : Knee
+        Parameters of the knee.
+    bone_parameters : BoneParameters
+        Parameters of the bones of the knee, from `resolve_bone_parameters`.
+    protocol : Protocol
+        Protocol that defines the JSW, from `load_jsw_protocol`.
+
+    Returns
+    -------
+    GrownBones
+        Bones and poses, which are the same for every posture.
+
+    Raises
+    ------
+    InputError
+        If no pose gives the JSW, or if one osteophyte hides another osteophyte.
+    """
     prepare_template_bones(bone_parameters)
     femur = grow_femur_osteophytes(bone_parameters, knee.osteophytes)
     tibia = grow_tibia_osteophytes(bone_parameters, knee.osteophytes)
     with ThreadPoolExecutor(2) as pool:
         list(pool.map(lambda bone: bone.deformed_vertices_mm, (femur, tibia)))
     defined = solve_pose(knee, bone_parameters, femur, tibia, protocol)
-
-    def at(flexion_deg: float) -> Pose:
-        further = flexion_deg - protocol.flexion_deg
-        if not further:
-            return defined
-        vertices = (
-            scale_and_lean_femur(femur.deformed_vertices_mm, bone_parameters),
-            scale_slope_and_lean_tibia(tibia.deformed_vertices_mm, bone_parameters),
-        )
-        return flex_pose(defined, *vertices, bone_parameters.half_ml_mm, further)
-
+    grown = GrownBones(
+        jsw_protocol=protocol,
+        bone_parameters=bone_parameters,
+        femur=femur,
+        tibia=tibia,
+        jsw_pose=defined,
+        straight_pose=defined,
+    )
+    straight = _flex(grown, 0.0)
     # The femur is tilted to reach the JSW. The valgus angle of its shaft compensates for the tilt, so `varus_deg`
     # remains the angle between the shafts of a straight leg.
-    straight = at(0.0)
-    bone_parameters = replace(bone_parameters, femur_valgus_deg=bone_parameters.femur_valgus_deg + straight.tilt_deg)
+    valgus_deg = bone_parameters.femur_valgus_deg + straight.tilt_deg
+    return replace(grown, bone_parameters=replace(bone_parameters, femur_valgus_deg=valgus_deg), straight_pose=straight)
+
+
+def pose_knee(knee: Knee, grown: GrownBones, posture: Posture) -> KneeAssembly:
+    """Move the bones of a knee into a posture.
+
+    Parameters
+    ----------
+    knee : Knee
+        Parameters of the knee.
+    grown : GrownBones
+        Bones of this knee, from `grow_bones`.
+    posture : Posture
+        Posture of the leg.
+
+    Returns
+    -------
+    KneeAssembly
+        Bones and their pose.
+
+    Raises
+    ------
+    InputError
+        If the femur cannot rest on the tibia in this flexion.
+    """
     pose = replace(
-        at(posture.flexion_deg) if posture.flexion_deg else straight,
+        _flex(grown, posture.flexion_deg) if posture.flexion_deg else grown.straight_pose,
         rotation_deg=knee.rotation_deg + posture.rotation_deg,
         forward_deg=posture.tibia_forward_deg,
-        lean_deg=defined.lean_deg - posture.tilt_deg + protocol.tilt_deg,
+        lean_deg=grown.jsw_pose.lean_deg - posture.tilt_deg + grown.jsw_protocol.tilt_deg,
     )
     mirror = (1.0 if knee.side == "right" else -1.0, posture.mirror_y, 1.0)
     turn = None if posture.is_frontal else rotation_matrix(*posture.view_rotation)
     return KneeAssembly(
-        jsw_protocol=protocol,
-        jsw_pose=defined,
+        jsw_protocol=grown.jsw_protocol,
+        jsw_pose=grown.jsw_pose,
         posture=posture,
-        bone_parameters=bone_parameters,
-        femur=femur,
-        tibia=tibia,
+        bone_parameters=grown.bone_parameters,
+        femur=grown.femur,
+        tibia=grown.tibia,
         pose=pose,
         mirror=mirror,
         view_rotation=turn,
     )
+
+
+def _flex(grown: GrownBones, flexion_deg: float) -> Pose:
+    """Flex the leg from the pose that defines the JSW to a flexion angle, in degrees."""
+    further = flexion_deg - grown.jsw_protocol.flexion_deg
+    if not further:
+        return grown.jsw_pose
+    vertices = (
+        scale_and_lean_femur(grown.femur.deformed_vertices_mm, grown.bone_parameters),
+        scale_slope_and_lean_tibia(grown.tibia.deformed_vertices_mm, grown.bone_parameters),
+    )
+    return flex_pose(grown.jsw_pose, *vertices, grown.bone_parameters.half_ml_mm, further)

@@ -11,7 +11,7 @@ from ..bones import bone_shells, small_bones
 from ..bones.plateau_wear import wear_tibia
 from ..bones.shell_checks import is_nested, repair_nesting
 from ..meshing.rigid_pose import compose_transforms
-from .knee_assembly import KneeAssembly
+from .knee_assembly import GrownBones, KneeAssembly
 
 
 @dataclass(frozen=True)
@@ -33,10 +33,60 @@ class PlacedBone:
     is_worn: bool = False
 
 
+@dataclass(frozen=True)
+class UnplacedBones:
+    """Solids of the bones of a right knee, each in its own frame; they are the same for every posture.
+
+    Attributes
+    ----------
+    solids : dict of str to Bone
+        Femur, tibia, fibula and patella, and the fabella if present, in mm. The fibula is in the frame of the tibia.
+    fabella_frame : (3, 4) float64 array or None
+        Transform from the frame of the fabella to the frame of the femur.
+    """
+
+    solids: dict[str, bone_shells.Bone]
+    fabella_frame: Array | None = None
+
+
+def build_bones(knee: Knee, grown: GrownBones | KneeAssembly, cortex_depths_mm: tuple[Array, Array]) -> UnplacedBones:
+    """Build all bones of a right knee, each in its own frame.
+
+    Parameters
+    ----------
+    knee : Knee
+        Parameters of the knee.
+    grown : GrownBones or KneeAssembly
+        Femur and tibia with their osteophytes.
+    cortex_depths_mm : two (n,) float64 arrays
+        Thickness of cortex and subchondral bone plate of femur and tibia, in mm, from `compute_cortex_depths_mm`.
+
+    Returns
+    -------
+    UnplacedBones
+        Femur, tibia, fibula and patella, and the fabella if present.
+
+    Raises
+    ------
+    InputError
+        If a solid is not valid.
+    """
+    build = grown.bone_parameters
+    femur = bone_shells.build_femur(build, grown.femur, cortex_depths_mm[0])
+    tibia = bone_shells.build_tibia(build, grown.tibia, cortex_depths_mm[1])
+    patella = small_bones.build_patella(build)
+    fibula = small_bones.build_fibula(knee, build, tibia.outer)
+    solids = {"femur": femur, "tibia": tibia, "fibula": fibula, "patella": patella}
+    if not knee.fabella_mm:
+        return UnplacedBones(solids)
+    fabella, in_femur = small_bones.build_fabella(knee, build, femur.outer)
+    return UnplacedBones({**solids, "fabella": fabella}, in_femur)
+
+
 def place_bones(
-    knee: Knee, assembly: KneeAssembly, cortex_depths_mm: tuple[Array, Array], executor: Executor
+    knee: Knee, assembly: KneeAssembly, unplaced: UnplacedBones, executor: Executor
 ) -> dict[str, PlacedBone]:
-    """Build and place all bones of a right knee in its posture.
+    """Place all bones of a right knee in its posture.
 
     Parameters
     ----------
@@ -44,8 +94,8 @@ def place_bones(
         Parameters of the knee.
     assembly : KneeAssembly
         Bones and their pose.
-    cortex_depths_mm : two (n,) float64 arrays
-        Thickness of cortex and subchondral bone plate of femur and tibia, in mm, from `compute_cortex_depths_mm`.
+    unplaced : UnplacedBones
+        Solids of the bones, from `build_bones`.
     executor : concurrent.futures.Executor
         Executor for parallel computations.
 
@@ -59,21 +109,18 @@ def place_bones(
     InputError
         If a solid is not valid, if a bone cannot be placed, or if the plateau would be worn too deeply.
     """
-    build, pose = assembly.bone_parameters, assembly.pose
-    femur = bone_shells.build_femur(build, assembly.femur, cortex_depths_mm[0])
-    tibia = bone_shells.build_tibia(build, assembly.tibia, cortex_depths_mm[1])
-    patella = small_bones.build_patella(build)
-    place = executor.submit(small_bones.place_patella, knee, build, patella.outer, femur.outer, pose)
-    fibula, still = small_bones.build_fibula(knee, build, tibia.outer), np.eye(3, 4)
+    build, pose, solids = assembly.bone_parameters, assembly.pose, unplaced.solids
+    in_femur = small_bones.place_patella(knee, build, solids["patella"].outer, solids["femur"].outer, pose)
+    still = np.eye(3, 4)
     parts = {
-        "femur": (femur, pose.femur_transform(), build.femur.epiphysis_transform(build.scale)),
-        "tibia": (tibia, pose.tibia_transform(), build.tibia.epiphysis_transform(build.scale)),
-        "fibula": (fibula, pose.tibia_transform(), still),
-        "patella": (patella, compose_transforms(place.result(), pose.femur_transform()), still),
+        "femur": (solids["femur"], pose.femur_transform(), build.femur.epiphysis_transform(build.scale)),
+        "tibia": (solids["tibia"], pose.tibia_transform(), build.tibia.epiphysis_transform(build.scale)),
+        "fibula": (solids["fibula"], pose.tibia_transform(), still),
+        "patella": (solids["patella"], compose_transforms(in_femur, pose.femur_transform()), still),
     }
-    if knee.fabella_mm:
-        fabella, in_femur = small_bones.build_fabella(knee, build, femur.outer)
-        parts["fabella"] = (fabella, compose_transforms(in_femur, pose.femur_transform()), still)
+    if unplaced.fabella_frame is not None:
+        in_leg = compose_transforms(unplaced.fabella_frame, pose.femur_transform())
+        parts["fabella"] = (solids["fabella"], in_leg, still)
     placed = {
         name: PlacedBone(_transform_bone(part, at), compose_transforms(inner, at))
         for name, (part, at, inner) in parts.items()

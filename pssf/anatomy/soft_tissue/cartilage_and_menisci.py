@@ -277,6 +277,6 @@ def _find_pinched_vertices(faces: Indices, thick: NDArray[np.bool_]) -> NDArray[
 
 
 def _build_disc(part: Meniscus, half: Pair, height_mm: tuple[float, ...]) -> Manifold:
-    """Build an elliptic disc with semi-axes `half` (x, y) through the heights `height_mm`, all at template size."""
+    """Build an elliptical disc with semi-axes `half` (x, y) through the heights `height_mm`, all at template size."""
     centre = (part.x, part.y)
     return loft(np.array([make_ring(half[0], half[1], (*centre, z), 2.0, 64) for z in height_mm]), "meniscus")

@@ -97,7 +97,7 @@ def _space_furrow_rings(furrow: _Furrow) -> Array:
 
 
 def _interpolate_rings(heights_mm: Array, rings_mm: Array) -> Array:
-    """Interpolate rings (rings, count, 3) linearly to other heights (m,), in mm."""
+    """Interpolate rings (rings, count, 3) linearly to other heights (m,), all in mm."""
     given_mm = rings_mm[:, 0, 2]
     above = np.searchsorted(given_mm, heights_mm, side="left").clip(1, len(given_mm) - 1)
     share = (heights_mm - given_mm[above - 1]) / (given_mm[above] - given_mm[above - 1])

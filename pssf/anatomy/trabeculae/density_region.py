@@ -64,7 +64,7 @@ class DensityParameters(NamedTuple):
     strut_convergence : float
         Fraction by which the struts converge in the shaft far from the joint, dimensionless.
     strut_convergence_mm : float
-        Depth at which half of the strut convergence is reached, in mm.
+        Distance from the joint along the shaft at which the struts have completed half of their convergence, in mm.
     strut_flattening : float
         Factor by which horizontal struts are closer together and vertical struts farther apart than in the lattice,
         dimensionless.
@@ -99,9 +99,11 @@ class DensityParameters(NamedTuple):
     scar_slope : float
         Slope of the physeal scar in the medial direction, in mm per mm.
     scar_bow_per_mm : float
-        Coefficient of x squared in the height of the physeal scar, in 1/mm.
+        Quadratic coefficient of the mediolateral bow of the physeal scar, in 1/mm: the scar height changes by this
+        value times x^2.
     scar_dome_per_mm : float
-        Coefficient of the squared distance from `scar_y` in the height of the physeal scar, in 1/mm.
+        Quadratic coefficient of the dome of the physeal scar, in 1/mm: the scar height changes by this value times
+        (y - scar_y)^2.
     scar_ripple_mm : float
         Amplitude of the ripple of the physeal scar, in mm.
     scar_ripple_per_mm : float
@@ -115,8 +117,8 @@ class DensityParameters(NamedTuple):
     scar_per_mm : float
         Inverse of half the thickness of the physeal scar, in 1/mm.
     scar_wide_per_mm : float
-        Inverse of the distance from the strongest point of the physeal scar at which its BV/TV has decreased to a
-        quarter, in 1/mm.
+        Inverse width of the physeal scar, in 1/mm. The width is the distance along x from each BV/TV peak of the scar
+        to the point where the contribution of this peak has fallen to a quarter.
     sway_mm : float
         Amplitude of the sideways waviness of the struts, in mm at actual size.
     sway_per_mm : float

@@ -274,7 +274,7 @@ class TrabecularDensityProfile(Record, frozen=True):
     strut_convergence : float
         Relative convergence of struts in the shaft, far from the joint.
     strut_convergence_mm : float
-        Depth at which half of the convergence is reached, in mm.
+        Distance from the joint along the shaft at which the struts have completed half of their convergence, in mm.
     strut_flattening : float
         Factor by which horizontal struts are closer, and vertical struts farther apart, than in the lattice.
     joint : (float, float, float)

@@ -126,7 +126,7 @@ def _read_with_base(path: Path, ancestors: tuple[Path, ...]) -> dict[str, Any]:
     with convert_os_errors(path, "a readable TOML file"):
         here = Path(os.path.realpath(path))
     if here in ancestors:
-        raise InputError(f"base of grade table {ancestors[0].name} must not form a loop, got {path.name}")
+        raise InputError(f"bases of grade table {ancestors[0].name} must not be circular, got {path.name} twice")
     table = read_toml(path)
     base = table.pop("base", None)
     if base is None:

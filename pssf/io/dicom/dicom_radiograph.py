@@ -371,7 +371,7 @@ def _describe_beam(protocol: Protocol) -> str:
     """Describe beam angle and monoenergetic beam energy as text, because DICOM has no attributes for these values."""
     angle, kev = protocol.beam_angle_deg, protocol.mono_kev
     tilt = f" Beam {abs(angle):g} deg {'caudad' if angle > 0 else 'cephalad'}." if angle else ""
-    return tilt if kev is None else f"{tilt} Beam of one energy, {kev:g} keV."
+    return tilt if kev is None else f"{tilt} Monoenergetic beam, {kev:g} keV."
 
 
 def _make_geometry_attributes(protocol: Protocol) -> Dataset:

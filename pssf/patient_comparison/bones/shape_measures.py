@@ -131,8 +131,8 @@ def measure_femur(points: Array) -> dict[str, float]:
         "femoral shaft's width over condyles'": _span(shaft[:, 0]) / width,
         "femoral shaft's depth over condyles'": _span(shaft[:, 1]) / width,
         "femoral metaphysis's width over condyles'": _span(points[is_between(z, 50, 58)][:, 0]) / width,
-        "femoral shaft's lean to medial": float(_box_centre(shaft)[0] - _box_centre(end)[0]) / width,
-        "femoral shaft's lean backwards": float(_box_centre(shaft)[1] - _box_centre(end)[1]) / width,
+        "medial inclination of the femoral shaft": float(_box_centre(shaft)[0] - _box_centre(end)[0]) / width,
+        "posterior inclination of the femoral shaft": float(_box_centre(shaft)[1] - _box_centre(end)[1]) / width,
     }
 
 
@@ -168,8 +168,8 @@ def measure_tibia(points: Array) -> dict[str, float]:
         "tibial shaft's width over plateau's": _span(shaft[:, 0]) / width,
         "tibial shaft's depth over plateau's width": _span(shaft[:, 1]) / width,
         "tibial metaphysis's width over plateau's": _span(points[is_between(z, -44, -36)][:, 0]) / width,
-        "tibial shaft's lean to medial": float(_box_centre(shaft)[0] - _box_centre(end)[0]) / width,
-        "tibial shaft's lean backwards": float(_box_centre(shaft)[1] - _box_centre(end)[1]) / width,
+        "medial inclination of the tibial shaft": float(_box_centre(shaft)[0] - _box_centre(end)[0]) / width,
+        "posterior inclination of the tibial shaft": float(_box_centre(shaft)[1] - _box_centre(end)[1]) / width,
         "tibial tuberosity's rise": float(_box_centre(shaft)[1] - front[:, 1].min()) / width,
     }
 

@@ -35,7 +35,10 @@ def compute_mask_overlap(segmented: NDArray[np.bool_], true: NDArray[np.bool_], 
 
 
 def _find_outline(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Find the outline of a mask: the mask pixels (rows, cols) adjacent to outside pixels; ignore the image border."""
+    """Find the outline of a mask: the mask pixels (rows, cols) that are adjacent to background pixels.
+
+    The image border does not count as background, unless the mask fills the image.
+    """
     inner: NDArray[np.bool_] = binary_erosion(mask, border_value=1)
     # If the mask fills the image, its only outline is the image border.
     return mask & ~inner if (mask & ~inner).any() else mask & ~binary_erosion(mask)

@@ -37,11 +37,11 @@ class NeighbourTriangles(NamedTuple):
         All triangles of the surface.
     adjacent_faces : (m, 3) int32 array
         Number of the adjacent face across each edge, from `find_adjacent_faces`.
-    triangle_numbers : (most,) int32 array
-        Numbers of the triangles that the ray of the previous pixel crosses, sorted by depth; `most` is the maximum
-        number of crossings.
-    facets : (most, 16) float64 array, mm and px
-        Edges and planes of the triangles in `triangle_numbers`, from `load_facet`.
+    triangle_numbers : (max_triangles,) int32 array
+        Numbers of the triangles that the ray of the previous pixel crosses, sorted by depth; `max_triangles` is the
+        largest number of triangles that a ray crosses.
+    facets : (max_triangles, 16) float64 array, mm and px
+        Edges (12 numbers) and planes (4 numbers) of the triangles in `triangle_numbers`, from `load_facet`.
     """
 
     triangles: Triangles

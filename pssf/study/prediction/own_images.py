@@ -48,7 +48,7 @@ def features(
     Parameters
     ----------
     image : (rows, cols) integer array, Radiograph, str or Path
-        Grey values, in any unit; a float array must contain whole numbers. A path may refer to a PNG, JPEG, TIFF or
+        Grey values, in any unit; a float array must contain integers. A path may refer to a PNG, JPEG, TIFF or
         DICOM file with 8 to 16 bits per pixel. The stored values are used; those of a DICOM file are first converted
         with its rescale slope and intercept.
     mask : (rows, cols) dimensionless array, str or Path, optional
@@ -174,8 +174,8 @@ def _read_grey_values(image: Any) -> tuple[NDArray[Any], float | None]:
     if values.dtype.kind == "f":
         if not np.isfinite(values).all() or not (values == np.rint(values)).all():
             raise InputError(
-                f"image must contain whole numbers, got {_find_fraction(values)}: round the values, because rounding "
-                "errors would change the bins"
+                f"image must contain integers, got {_find_fraction(values)}: round the values first, because small "
+                "floating-point errors can move pixels to another bin"
             )
         values = values.astype(np.int64)
     return values, known_mm
@@ -205,7 +205,7 @@ def _read_mask(mask: Any, shape: tuple[int, ...]) -> NDArray[np.bool_]:
 
 
 def _find_fraction(values: NDArray[Any]) -> float:
-    """Find the first value that is not a whole number."""
+    """Find the first value that is not an integer."""
     return float(values[~np.isfinite(values) | (values != np.rint(values))][0])
 
 

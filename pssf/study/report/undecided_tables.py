@@ -136,13 +136,13 @@ def explain_undecided_reliability(stable_counts: pd.DataFrame) -> str:
 
 
 def _explain_counts(table: pd.DataFrame) -> str:
-    """Explain that no row has enough test subjects; return "" if at least one row has enough."""
+    """Return a note that no row of a table has enough test subjects, or "" if at least one row has enough."""
     enough = any(has_enough_test_subjects(row) for row in table[TEST_COUNT_COLUMNS].to_dict("records"))
     return "" if enough else _TOO_FEW_SUBJECTS
 
 
 def _explain_intervals(table: pd.DataFrame, low: str, high: str) -> str:
-    """Explain that no row has an interval of positive width; return "" if a row has one."""
+    """Return a note that all intervals in a table have zero width, or "" if at least one interval is wider."""
     ends = table[[low, high]].to_numpy(np.float64)
     known = np.isfinite(ends).all(axis=1)
     return "" if (ends[known, 1] > ends[known, 0]).any() else _NO_INTERVAL

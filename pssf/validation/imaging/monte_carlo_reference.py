@@ -1,4 +1,4 @@
-"""Comparison of the Monte Carlo scatter code with independent code, for water slabs and elliptic limbs."""
+"""Comparison of the Monte Carlo scatter code with independent code, for water slabs and elliptical limbs."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -24,9 +24,9 @@ _MONTE_CARLO = "independent Monte Carlo, 2 %"
 _FLUENCE = ("tube fluence", _SPEKPY)
 _ENERGY = ("mean energy of the tube spectrum", _SPEKPY)
 _ATTENUATION = ("attenuation of tissues at 40 and 60 keV", "ICRU 46, xraylib")
-_PRIMARY = ("primary behind the middle of an elliptic limb", _MONTE_CARLO)
-_SCATTER = ("kernel scatter behind the same limb, air gap of 60 to 140 mm", _MONTE_CARLO)
-_NEAR_SCATTER = ("kernel scatter behind the same limb, air gap of 15 mm, below the fitted range", _MONTE_CARLO)
+_PRIMARY = ("primary signal behind the centre of an elliptical limb phantom", _MONTE_CARLO)
+_SCATTER = ("kernel scatter behind the same phantom, air gap of 60 to 140 mm", _MONTE_CARLO)
+_NEAR_SCATTER = ("kernel scatter behind the same phantom, air gap of 15 mm, below the fitted range", _MONTE_CARLO)
 # Smallest air gap for which the scatter kernel was fitted, in mm.
 _SMALLEST_FITTED_GAP_MM = 20.0
 
@@ -61,7 +61,7 @@ def compare_physics_with_references() -> list[Row]:
 
 
 def compute_limb_signals(kv: float, thick_mm: float, gap_mm: float) -> tuple[float, float]:
-    """Compute primary and scattered signal behind the middle of an elliptic limb, relative to the open beam.
+    """Compute primary and scattered signal behind the centre of an elliptical limb phantom, relative to the open beam.
 
     The limb is 1.2 times wider than it is thick. Scatter is computed with the scatter kernel.
 
@@ -97,7 +97,7 @@ def compute_limb_signals(kv: float, thick_mm: float, gap_mm: float) -> tuple[flo
 
 
 def _ellipse_chords_mm(half_x_mm: float, half_y_mm: float, sod_mm: float) -> Array:
-    """Compute the chord lengths (180,) of rays through a long elliptic cylinder along z, in mm.
+    """Compute the chord lengths (180,) of rays through a long elliptical cylinder along z, in mm.
 
     The rays end at 180 pixels of 1 mm in a detector row, 1150 mm from the source.
     """

@@ -227,7 +227,7 @@ def build_case(case: ScatterCase, known_tissues: Mapping[str, Tissue]) -> tuple[
 
 
 def build_limb(thick_mm: float, known_tissues: Mapping[str, Tissue]) -> Scene:
-    """Build a long elliptic limb of soft tissue with a bone core; the limb is 1.2 times wider than thick.
+    """Build a long elliptical limb of soft tissue with a bone core; the limb is 1.2 times wider than thick.
 
     Soft tissue is 70 % muscle and 30 % fat by volume. The core is 17 % cortical bone and 83 % marrow. The core
     is 0.6 times as wide and 0.45 times as thick as the limb.
@@ -295,7 +295,7 @@ def mix_tissues(volumes: Mapping[str, float], known_tissues: Mapping[str, Tissue
 
 
 def _make_cylinder(half_x_mm: float, half_y_mm: float) -> trimesh.Trimesh:
-    """Make an upright elliptic cylinder, 420 mm long; its section is a 192-gon with the area of the ellipse."""
+    """Make an upright elliptical cylinder, 420 mm long; its section is a 192-gon with the area of the ellipse."""
     sides = 192
     same_area = np.sqrt(2 * np.pi / sides / np.sin(2 * np.pi / sides))
     mesh = trimesh.creation.cylinder(radius=1.0, height=420.0, sections=sides)

@@ -95,7 +95,7 @@ def _make_cache_environment(folder: Path) -> dict[str, str]:
 
 
 def _run_in_new_process(engine: str, workers: int, runs: tuple[str, ...], folder: Path) -> list[Row]:
-    """Time runs in a new Python process; return the table rows."""
+    """Measure the duration of simulation runs in a new Python process and return the table rows."""
     # A process pool is not used, because its processes inherit interpreter options such as -B (write no bytecode).
     code = f"from {__name__} import print_runs; print_runs({engine!r}, {workers}, {runs!r})"
     done = subprocess.run(
@@ -106,7 +106,7 @@ def _run_in_new_process(engine: str, workers: int, runs: tuple[str, ...], folder
 
 
 def print_runs(engine: str, workers: int, runs: tuple[str, ...]) -> None:
-    """Time runs in this process and print the table rows as JSON.
+    """Measure the duration of simulation runs in this process and print the table rows as JSON.
 
     Parameters
     ----------

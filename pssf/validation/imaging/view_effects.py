@@ -45,7 +45,8 @@ _OUTER = 0.85
 # Largest distance between aligned plateau margins in an alternative definition, in mm. The sources do not define all
 # quantities exactly, so alternative definitions are compared with the same reference values.
 _WIDER_MM = 2.5
-# Factor by which an alternative definition enlarges the beam-angle error of an acquisition.
+# Factor that multiplies the beam-angle error of the Lyon-Schuss acquisition in an alternative definition of its
+# inter-margin distance.
 _MISSED_BY = 1.6
 # Heights of the two shaft bands that define a projected shaft axis, in mm in the frame of the tibia.
 _AXES_MM = (-120.0, -60.0)

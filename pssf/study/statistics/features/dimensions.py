@@ -33,7 +33,7 @@ def count_dimensions(
     importances : DataFrame
         Importances of all splits: `ARM_COLUMNS` without ``tested_on``, repeat, feature.
     selection_candidates : DataFrame
-        Features that remain after pruning: task, trained_on, selection, repeat, feature.
+        Features that remain after pruning, with the columns task, trained_on, selection, repeat and feature.
     subjects : DataFrame
         Columns repeat, subject and part (training, validation or test).
     usable : DataFrame

@@ -76,7 +76,7 @@ def evaluate_claims(
     importances : DataFrame
         Importances of all splits: task, trained_on, model, selection, repeat, feature, importance.
     selection_candidates : DataFrame
-        Features that remain after pruning: task, trained_on, selection, repeat, feature.
+        Features that remain after pruning, with the columns task, trained_on, selection, repeat and feature.
     tables : dict of str to DataFrame
         Tables scores, differences, reliability and subjects.
     settings : StudySettings
