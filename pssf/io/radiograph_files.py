@@ -128,25 +128,30 @@ def save(
                 radiograph, encode_metadata(radiograph), temporary, intent, side, shown_as
             )
         else:
-            per_cm = float(10.0 / radiograph.protocol.pixel_mm)
-            tifffile.imwrite(
-                temporary,
-                radiograph.pixels,
-                photometric="minisblack",
-                # Deflate of the differences between neighbouring pixels, which ITK and ImageJ can read. Higher levels
-                # take longer and save 2 %, because quantum noise limits the compression.
-                compression="zlib",
-                compressionargs={"level": 1},
-                predictor=True,
-                resolution=(per_cm, per_cm),
-                resolutionunit="CENTIMETER",
-                software=f"pssf {version('pssf')}",
-                # tifffile misinterprets JSON with the text "shape": as tifffile metadata. A space before the colon
-                # prevents the misinterpretation.
-                description=encode_metadata(radiograph).replace('"shape":', '"shape" :'),
-                metadata=None,
-            )
+            _write_tiff(radiograph, temporary)
     return path
+
+
+def _write_tiff(radiograph: Radiograph, path: Path) -> None:
+    """Write the pixels of a radiograph and its parameters as a TIFF file."""
+    per_cm = float(10.0 / radiograph.protocol.pixel_mm)
+    tifffile.imwrite(
+        path,
+        radiograph.pixels,
+        photometric="minisblack",
+        # Deflate of the differences between neighbouring pixels, which ITK and ImageJ can read. Higher levels
+        # take longer and save 2 %, because quantum noise limits the compression.
+        compression="zlib",
+        compressionargs={"level": 1},
+        predictor=True,
+        resolution=(per_cm, per_cm),
+        resolutionunit="CENTIMETER",
+        software=f"pssf {version('pssf')}",
+        # tifffile misinterprets JSON with the text "shape": as tifffile metadata. A space before the colon
+        # prevents the misinterpretation.
+        description=encode_metadata(radiograph).replace('"shape":', '"shape" :'),
+        metadata=None,
+    )
 
 
 def _select_marker_side(radiograph: Radiograph, intent: str, border: str, path: Path) -> str | None:
