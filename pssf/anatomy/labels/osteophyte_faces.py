@@ -1,5 +1,7 @@
 """Osteophyte masks: select the bone faces that osteophytes raise above the surface without osteophytes."""
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -31,21 +33,41 @@ def select_osteophyte_faces(knee: Knee, assembly: KneeAssembly) -> dict[str, Mes
         Open mesh per site in the knee frame, in mm. Its border is 0.05 mm above the surface without osteophytes. An
         osteophyte that does not protrude has no faces.
     """
-    bones = assembly.bone_parameters
     selected = {}
-    for template, grown, place_points in (
-        (bones.template_femur, assembly.femur, assembly.place_femur_points),
-        (bones.template_tibia, assembly.tibia, assembly.place_tibia_points),
-    ):
-        sites = [one.site for one in knee.osteophytes if one.bone == template.name]
-        if not sites:
-            continue
+    for template, grown, place_points, sites in list_bones_with_osteophytes(knee, assembly):
         raised = select_raised_faces(template, grown)
         raised = Mesh(place_points(raised.vertices), raised.faces)
         tips = place_points(np.array([shape.tip for shape in grown.shapes]))
         for site, mesh in _split_faces_by_site(raised, sites, tips).items():
             selected[site] = assembly.orient_mesh(mesh)
     return selected
+
+
+def list_bones_with_osteophytes(
+    knee: Knee, assembly: KneeAssembly
+) -> list[tuple[TemplateBone, BoneWithOsteophytes, Callable[[Array], Array], list[str]]]:
+    """List femur and tibia, if they have osteophytes.
+
+    Parameters
+    ----------
+    knee : Knee
+        Parameters of the knee, including its osteophytes.
+    assembly : KneeAssembly
+        Bones of the knee in their pose.
+
+    Returns
+    -------
+    list of tuple
+        Template bone, bone with osteophytes, function that maps points (n, 3) of the template, in mm, into the posed
+        leg, and site of each osteophyte.
+    """
+    template = assembly.bone_parameters
+    bones = (
+        (template.template_femur, assembly.femur, assembly.place_femur_points),
+        (template.template_tibia, assembly.tibia, assembly.place_tibia_points),
+    )
+    listed = [(*bone, [one.site for one in knee.osteophytes if one.bone == bone[0].name]) for bone in bones]
+    return [bone for bone in listed if bone[3]]
 
 
 def select_raised_faces(template: TemplateBone, grown: BoneWithOsteophytes) -> Mesh:
@@ -117,14 +139,35 @@ def _split_faces_by_site(mesh: Mesh, sites: list[str], tips: Array) -> dict[str,
     count, label = connected_components(links, directed=False)
     for component in range(count):
         piece = _drop_unused_vertices(mesh.vertices, mesh.faces[label[mesh.faces[:, 0]] == component])
-        low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
-        owners = np.flatnonzero(((tips >= low) & (tips <= high)).all(axis=1)).tolist()
-        if len({sites[owner] for owner in owners}) < 2:
-            owners = [int(np.linalg.norm(tips - (low + high) / 2, axis=1).argmin())]
+        owners = find_owners(piece.vertices.min(axis=0), piece.vertices.max(axis=0), sites, tips)
         for owner in owners:
             others = [other for other in owners if sites[other] != sites[owner]]
             parts[sites[owner]].append(_trim_to_nearest_tip(piece, tips[owner], tips[others]))
     return {site: _join_meshes(meshes) for site, meshes in parts.items()}
+
+
+def find_owners(low_mm: Array, high_mm: Array, sites: list[str], tips: Array) -> list[int]:
+    """Find the osteophytes to which a connected component belongs.
+
+    Parameters
+    ----------
+    low_mm, high_mm : (3,) float64 array
+        Corners of the bounding box of the component, in mm.
+    sites : list of str
+        Site of each osteophyte.
+    tips : (n, 3) float64 array
+        Tip of each osteophyte, in mm.
+
+    Returns
+    -------
+    list of int
+        Indices of all osteophytes with tips in the box if these have several sites; otherwise the index of the
+        osteophyte whose tip is nearest to the centre of the box.
+    """
+    inside = np.flatnonzero(((tips >= low_mm) & (tips <= high_mm)).all(axis=1)).tolist()
+    if len({sites[number] for number in inside}) > 1:
+        return inside
+    return [int(np.linalg.norm(tips - (low_mm + high_mm) / 2, axis=1).argmin())]
 
 
 def _trim_to_nearest_tip(piece: Mesh, tip: Array, others: Array) -> Mesh:

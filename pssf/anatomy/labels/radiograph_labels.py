@@ -23,7 +23,7 @@ from ..outlines.projected_contours import (
     rotate_px,
 )
 from ..posture.knee_assembly import KneeAssembly
-from .osteophyte_faces import MIN_PROTRUSION_MM, select_raised_faces
+from .osteophyte_faces import MIN_PROTRUSION_MM, find_owners, list_bones_with_osteophytes, select_raised_faces
 
 # Positions x at which JSW(x) is measured, as fractions of the femoral width from the medial edge (Neumann et al. 2009).
 # The femoral width corresponds to CFWDTH in the tables of the Osteoarthritis Initiative. It is measured between the
@@ -120,16 +120,8 @@ def build_osteophyte_meshes(knee: Knee, assembly: KneeAssembly) -> dict[str, Mes
         Closed surface per site in the knee frame, in mm. The surface encloses only bone that protrudes by more than
         0.05 mm.
     """
-    build = assembly.bone_parameters
-    bones = (
-        (build.template_femur, assembly.femur, assembly.place_femur_points),
-        (build.template_tibia, assembly.tibia, assembly.place_tibia_points),
-    )
     meshes = {}
-    for mean, grown, move in bones:
-        sites = [one.site for one in knee.osteophytes if one.bone == mean.name]
-        if not sites:
-            continue
+    for mean, grown, move, sites in list_bones_with_osteophytes(knee, assembly):
         bare = project_solid(mean.outer, mean.field, depth_mm=lambda points: np.full(len(points), -MIN_PROTRUSION_MM))
         # Both solids are moved before the subtraction. The cuts are therefore on the moved triangles, and the
         # osteophyte stays inside its bone.
@@ -172,9 +164,7 @@ def _split_by_site(added: Manifold, sites: list[str], tips: Array) -> dict[str, 
     pieces: dict[str, list[Manifold]] = {site: [] for site in sites}
     for piece in added.decompose():
         low, high = np.array(piece.bounding_box()).reshape(2, 3)
-        owners = np.flatnonzero(((tips >= low) & (tips <= high)).all(axis=1)).tolist()
-        if len({sites[owner] for owner in owners}) < 2:
-            owners = [int(np.linalg.norm(tips - (low + high) / 2, axis=1).argmin())]
+        owners = find_owners(low, high, sites, tips)
         for owner in owners:
             others = [other for other in owners if sites[other] != sites[owner]]
             pieces[sites[owner]].append(_trim_to_nearest_tip(piece, tips[owner], tips[others]))
