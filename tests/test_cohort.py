@@ -21,7 +21,7 @@ from conftest import append_byte, forget_built_knees
 
 import pssf
 from pssf import cohort
-from pssf.cohort import cohort_maker
+from pssf.cohort import cohort_maker, run_environment
 from pssf.cohort import cohort_plan as plan_module
 from pssf.data import code_hash
 from pssf.io import atomic_write, cohort_records
@@ -415,16 +415,17 @@ def test_a_worker_with_another_folder_library_or_code_raises_an_error(protocols,
     claim = cohort_records.claim_folder(folder / "cohort.json", plan.build_request())
     environment = {
         "folder": folder,
-        "cohort_sha256": claim,
+        "claim": "cohort.json",
+        "claim_sha256": claim,
         "code_hashes": code_hash.compute_code_hashes((*cohort_maker._CODE_PATHS, *code_hash.list_pixel_data_files())),
-        "versions": cohort_maker.collect_versions(),
+        "versions": run_environment.collect_versions(),
     }
-    site = cohort_maker.RunEnvironment(
-        **{**environment, "versions": {**cohort_maker.collect_versions(), "numpy": "1.0"}}
+    site = run_environment.RunEnvironment(
+        **{**environment, "versions": {**run_environment.collect_versions(), "numpy": "1.0"}}
     )
     with pytest.raises(pssf.InputError, match=r"numpy on .* must be 1\.0, the version on the machine .*, got .*"):
         cohort_maker.make_case(plan.cases[0], site=site, engine="scanline", threads=1)
-    site = cohort_maker.RunEnvironment(
+    site = run_environment.RunEnvironment(
         **{**environment, "code_hashes": {**environment["code_hashes"], "detector": "0"}}
     )
     with pytest.raises(pssf.InputError, match=r"code of pssf on .* must be .*, got other code \(detector\)"):

@@ -1,6 +1,7 @@
 """Command line of pssf.
 
 making_commands     simulate, meshes, cohort
+dataset_command     dataset
 benchmark_command   benchmark
 study_command       study
 predict_command     predict
@@ -23,6 +24,7 @@ import typer
 
 from . import making_commands, measuring_commands
 from .benchmark_command import benchmark
+from .dataset_command import dataset_app
 from .explore_command import explore
 from .features_command import features
 from .predict_command import predict
@@ -56,6 +58,8 @@ _RENAMED_COMMANDS = {
     "read": "predict",
     "realism": "compare-patients",
 }
+# Commands that are newer than the deprecated names, and use some of these names for options of their own.
+_COMMANDS_WITHOUT_RENAMES = ("dataset",)
 _COMMANDS = (
     *(making_commands.simulate, making_commands.meshes, benchmark, study, predict, features),
     *(
@@ -89,6 +93,7 @@ def handle_global_options(
 for command in _COMMANDS:
     app.command()(command)
 app.add_typer(making_commands.cohort_app, name="cohort")
+app.add_typer(dataset_app, name="dataset")
 
 
 def main() -> None:
@@ -114,6 +119,8 @@ def main() -> None:
 
 def _replace_renamed_options(arguments: list[str]) -> list[str]:
     """Replace deprecated names of commands, options and values with current names, with a notice on standard error."""
+    if arguments[:1] and arguments[0] in _COMMANDS_WITHOUT_RENAMES:
+        return arguments
     named: list[str] = []
     for index, word in enumerate(arguments):
         name, equals, value = word.partition("=")

@@ -3,15 +3,14 @@
 import json
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from platform import node
 from typing import Any
 
 from ..anatomy import build
-from ..core.checks import InputError, require_choice, require_workers
+from ..core.checks import require_choice, require_workers
 from ..core.processes.parallel_map import count_cores, map_in_parallel, require_scheduler
-from ..data.code_hash import compute_code_hashes, list_pixel_data_files, require_same_code
+from ..data.code_hash import compute_code_hashes, list_pixel_data_files
 from ..geometry.view import resolve_view
 from ..io import atomic_write, cohort_records
 from ..io.mask_files import save_masks
@@ -23,6 +22,7 @@ from ..raycast import ENGINES, trace
 from ..raycast.detector_clearance import move_clear_of_detector
 from ..simulation import collect_versions, simulate
 from .cohort_plan import Case, Exposure, Plan
+from .run_environment import RunEnvironment, require_same_environment
 
 Row = dict[str, Any]
 # Folders in which pssf writes cohort files, relative to the cohort folder; "" is the cohort folder itself.
@@ -32,28 +32,6 @@ _CODE_PATHS = (
     *("anatomy", "cohort", "core", "detector", "geometry", "io", "model", "raycast", "scatter"),
     *("image_faults.py", "simulation.py", "stages.py", "xray"),
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class RunEnvironment:
-    """Describe the environment of a cohort run, which must be identical on every worker.
-
-    Attributes
-    ----------
-    folder : Path
-        Absolute path of the cohort folder.
-    cohort_sha256 : str
-        SHA-256 hash of the file cohort.json in the cohort folder.
-    versions : dict of str to str
-        Versions of the package and of all libraries on which the pixels depend, keyed by name.
-    code_hashes : dict of str to str
-        Hashes of the code on which the pixels depend, keyed by path (`data.code_hash.compute_code_hashes`).
-    """
-
-    folder: Path
-    cohort_sha256: str
-    versions: dict[str, str]
-    code_hashes: dict[str, str]
 
 
 def make_cohort(
@@ -123,7 +101,13 @@ def make_cohort(
 
     # If there are more workers than unfinished knees, each knee uses several threads for ray casting.
     threads = 1 if scheduler else max(1, workers // max(1, len(missing)))
-    site = RunEnvironment(folder=folder.absolute(), cohort_sha256=claim, versions=collect_versions(), code_hashes=code)
+    site = RunEnvironment(
+        folder=folder.absolute(),
+        claim="cohort.json",
+        claim_sha256=claim,
+        versions=collect_versions(),
+        code_hashes=code,
+    )
     shared = {"site": site, "engine": engine, "threads": threads, "masks": plan.masks}
     map_in_parallel(make_case, missing, shared=shared, workers=workers, scheduler=scheduler, on_result=store_rows)
     _remove_temporary_files(folder)
@@ -158,12 +142,7 @@ def make_case(case: Case, site: RunEnvironment, engine: str, threads: int, masks
     InputError
         If the cohort folder, a library version or the code differs from that on the machine that started the run.
     """
-    cohort_records.require_claimed_folder(site.folder / "cohort.json", site.cohort_sha256)
-    for name, here in collect_versions().items():
-        if here != site.versions[name]:
-            allowed = f"{site.versions[name]}, the version on the machine that started the run"
-            raise InputError(f"{name} on {node()} must be {allowed}, got {here}")
-    require_same_code(site.code_hashes)
+    require_same_environment(site)
     built, paths, rows = build(case.knee, case.exposures[0].protocol), None, []
     for exposure in case.exposures:
         if built.assembly.posture != exposure.protocol.posture:
@@ -181,7 +160,7 @@ def make_case(case: Case, site: RunEnvironment, engine: str, threads: int, masks
             path = save_masks(radiograph, site.folder / "masks" / f"{exposure.name}.{masks}")
             row |= {"masks": path.relative_to(site.folder).as_posix(), "masks_sha256": cohort_records.hash_file(path)}
         rows.append(row)
-    cohort_records.write_knee_record(site.folder, case.index, rows, site.cohort_sha256)
+    cohort_records.write_knee_record(site.folder, case.index, rows, site.claim_sha256)
     return rows
 
 

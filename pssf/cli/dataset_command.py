@@ -1,0 +1,170 @@
+"""Command that makes data sets of labelled images: dataset, dataset verify."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .shared_options import Engine, GradeTable, Processes, Scheduler, Seed
+
+dataset_app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+@dataset_app.callback(invoke_without_command=True)
+def dataset(
+    context: typer.Context,
+    *,
+    workers: Processes,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", help="Output folder; created if it does not exist. Required, except with --dry-run."),
+    ] = None,
+    images: Annotated[int, typer.Option(help="Number of images; rounded up to complete people.")] = 500,
+    seed: Seed = 0,
+    matrix: Annotated[
+        int, typer.Option(help="Number of pixels along the longer side of an image or crop; 0: as in the protocol.")
+    ] = 512,
+    protocols: Annotated[
+        str, typer.Option(help="Names or TOML files of protocols, separated by commas; each knee gets one at random.")
+    ] = "fixed_flexion",
+    grade_table: GradeTable = "population",
+    grades: Annotated[
+        str,
+        typer.Option(
+            help="balanced (the same number of people of each KL grade) or prevalence (as in the baseline of the "
+            "Osteoarthritis Initiative)."
+        ),
+    ] = "balanced",
+    both_knees: Annotated[bool, typer.Option("--both-knees", help="Image both knees of each person.")] = False,
+    acquisition: Annotated[
+        str, typer.Option(help="sampled or fixed; sampled varies positioning, beam, kV, mAs, field and marker.")
+    ] = "sampled",
+    display: Annotated[
+        str, typer.Option(help="Display processing of the 8-bit images: sampled, processed, log or film.")
+    ] = "sampled",
+    kinds: Annotated[
+        str, typer.Option(help="Kinds of images, separated by commas: linear (16-bit TIFF), display (8-bit PNG).")
+    ] = "linear,display",
+    crop_mm: Annotated[
+        float, typer.Option(help="Side of a square crop about the joint, on the detector, in mm; 0: whole images.")
+    ] = 0.0,
+    crop_shift_mm: Annotated[
+        float, typer.Option(help="Standard deviation of the shift of the crop in each direction, in mm.")
+    ] = 3.0,
+    split: Annotated[
+        str, typer.Option(help="Fractions of people for training, validation and test, separated by commas.")
+    ] = "0.7,0.15,0.15",
+    randomise: Annotated[
+        str,
+        typer.Option(
+            help="Random transforms of the finished images, separated by commas: affine, contrast, gamma, inversion, "
+            "blur, boxes, dropout, noise, or the recipes mild and strong."
+        ),
+    ] = "",
+    pairs: Annotated[
+        str,
+        typer.Option(
+            help="Paired images of each knee: none, protocol (two protocols), lesion (with and without one lesion) or "
+            "visit (two visits)."
+        ),
+    ] = "none",
+    maps: Annotated[
+        str, typer.Option(help="Materials whose path lengths are saved as maps in mm, separated by commas.")
+    ] = "",
+    layout: Annotated[str, typer.Option(help="folder (single files) or shards (tar files for WebDataset).")] = "folder",
+    shard_images: Annotated[int, typer.Option(help="Number of images per shard.")] = 100,
+    scheduler: Scheduler = None,
+    engine: Engine = "scanline",
+    dry_run: Annotated[
+        bool,
+        typer.Option(
+            "--dry-run", help="Make no data set; simulate a few images and print CPU time, disk space and files."
+        ),
+    ] = False,
+) -> None:
+    """Make a data set of labelled images for the training of networks.
+
+    An interrupted run continues where it stopped: existing files are checked and not written again, and the final files
+    are byte-identical for any number of workers.
+    """
+    if context.invoked_subcommand is not None:
+        return
+    from ..core.checks import InputError, require_workers
+    from ..core.processes.execution import Execution
+    from ..core.progress_display import show_progress_bar, show_status
+    from ..dataset import DatasetSettings, estimate_cost, make_dataset
+
+    require_workers(workers, "processes")
+    settings = DatasetSettings(
+        images=images,
+        seed=seed,
+        matrix=matrix,
+        protocols=_split(protocols),
+        grade_table=grade_table,
+        grades=grades,
+        knees_per_person=2 if both_knees else 1,
+        acquisition=acquisition,
+        display=display,
+        kinds=_split(kinds),
+        crop_mm=crop_mm,
+        crop_shift_mm=crop_shift_mm,
+        split=_parse_fractions(split),
+        randomise=_split(randomise),
+        pairs=pairs,
+        maps=_split(maps),
+        layout=layout,
+        shard_images=shard_images,
+        engine=engine,
+    )
+    if dry_run:
+        with show_status("simulating a few images"):
+            cost = estimate_cost(settings)
+        print(f"images    {cost.images:,} in {cost.files:,} files")
+        print(f"disk      {cost.disk_mb / 1000:,.1f} GB")
+        print(
+            f"CPU time  {cost.cpu_seconds / 3600:,.1f} h, or {cost.cpu_seconds / 3600 / workers:,.1f} h with {workers} workers"
+        )
+        print(f"estimated from {cost.measured_images} images on this machine")
+        return
+    if out is None:
+        raise InputError("out must be a folder for the data set, got out = none: add --out FOLDER")
+    total = settings.person_count * settings.images_per_person
+    with Execution(progress_bar=show_progress_bar).stage("images", "images", total) as stage:
+        index = make_dataset(
+            settings, out, workers=workers, scheduler=scheduler, progress=stage.advance, on_kept=stage.add_already_done
+        )
+    print(f"index     {index}")
+
+
+@dataset_app.command()
+def verify(folder: Annotated[Path, typer.Argument(help="Folder of a data set written by pssf dataset.")]) -> None:
+    """Check every file of a data set against its hash.
+
+    The command prints one line per fault. If there is a fault, the exit code is 2.
+    """
+    from ..core.progress_display import show_status
+    from ..dataset import verify_dataset
+
+    with show_status("reading"):
+        images, faults = verify_dataset(folder)
+    for fault in faults:
+        print(fault)
+    if faults:
+        raise typer.Exit(2)
+    print(f"intact    {images} images, all unchanged")
+
+
+def _split(text: str) -> tuple[str, ...]:
+    """Split names at commas; an empty text gives no names."""
+    return tuple(part.strip() for part in text.split(",")) if text else ()
+
+
+def _parse_fractions(text: str) -> tuple[float, float, float]:
+    """Parse three fractions separated by commas."""
+    from ..core.checks import InputError
+
+    try:
+        first, second, third = map(float, text.split(","))
+    except ValueError:
+        raise InputError(f"split must be three fractions, such as 0.7,0.15,0.15, got {text!r}") from None
+    return first, second, third

@@ -1,0 +1,149 @@
+"""Write the files that describe a complete data set: index, COCO files and legend."""
+
+import csv
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+from ..io.atomic_write import replace_file
+from ..io.dataset_files import read_part
+from .dataset_plan import count_parts
+from .dataset_settings import SPLITS, DatasetSettings
+from .dataset_tables import DatasetTables
+from .instances import make_annotations, make_categories
+
+Row = dict[str, Any]
+
+
+def write_index(settings: DatasetSettings, tables: DatasetTables, folder: Path) -> Path:
+    """Write index.csv, and for single files one COCO file per subset. The parts are read one at a time.
+
+    Parameters
+    ----------
+    settings : DatasetSettings
+        Settings of the data set.
+    tables : DatasetTables
+        Tables and protocols.
+    folder : Path
+        Folder of the data set, with all parts.
+
+    Returns
+    -------
+    Path
+        Path of index.csv.
+
+    Raises
+    ------
+    InputError
+        The disk is full, or a file cannot be written.
+    """
+    # The columns are collected first, because images of different views have different landmarks.
+    columns = list(dict.fromkeys(name for row in iterate_rows(settings, folder) for name in flatten_row(row)))
+    path = folder / "index.csv"
+    with replace_file(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as handle:
+        writer = csv.DictWriter(handle, columns, lineterminator="\n")
+        writer.writeheader()
+        for row in iterate_rows(settings, folder):
+            writer.writerow(flatten_row(row))
+    if settings.layout == "folder":
+        for split in SPLITS:
+            _write_coco(settings, tables, folder, split)
+    return path
+
+
+def iterate_rows(settings: DatasetSettings, folder: Path) -> Iterator[Row]:
+    """Yield the labels of all images in the order of the parts.
+
+    Parameters
+    ----------
+    settings : DatasetSettings
+        Settings of the data set.
+    folder : Path
+        Folder of the data set.
+
+    Yields
+    ------
+    dict of str to object
+        Labels of an image.
+    """
+    for index in range(count_parts(settings)):
+        record = read_part(folder, index)
+        yield from record.rows if record else ()
+
+
+def flatten_row(row: Mapping[str, Any], prefix: str = "") -> Row:
+    """Flatten labels to one number or text per column.
+
+    Parameters
+    ----------
+    row : mapping of str to object
+        Labels of an image.
+    prefix : str
+        Prefix of the column names.
+
+    Returns
+    -------
+    dict of str to object
+        Values keyed by column. The names of nested labels are joined by an underscore. A landmark has two columns,
+        which end in ``_row_px`` and ``_col_px``. Other lists are JSON text.
+    """
+    flat: Row = {}
+    for name, value in row.items():
+        if name == "landmarks_px":
+            for place, (at_row, at_col) in value.items():
+                flat |= {f"{place}_row_px": at_row, f"{place}_col_px": at_col}
+        elif isinstance(value, Mapping):
+            flat |= flatten_row(value, f"{prefix}{name}_")
+        else:
+            flat[f"{prefix}{name}"] = json.dumps(value) if isinstance(value, list) else value
+    return flat
+
+
+def _write_coco(settings: DatasetSettings, tables: DatasetTables, folder: Path, split: str) -> None:
+    """Write the COCO file of a subset image by image."""
+    keypoints = list(
+        dict.fromkeys(name for row in _iterate_split(settings, folder, split) for name in row["landmarks_px"])
+    )
+    if not keypoints:
+        return
+    kind, suffix = ("display", "png") if "display" in settings.kinds else ("linear", "tif")
+    info = {"description": "Knee radiographs simulated by pssf; labels are true by construction."}
+    categories = make_categories(tables.definitions.label_map, keypoints)
+    with replace_file(folder / f"coco_{split}.json") as temporary, open(temporary, "w", encoding="utf-8") as handle:
+        handle.write(f'{{"info": {json.dumps(info)},\n"categories": {json.dumps(categories)},\n"images": [\n')
+        images = (
+            {
+                "id": image_id,
+                "file_name": f"{split}/{kind}/{row['name']}.{suffix}",
+                "height": row["rows"],
+                "width": row["cols"],
+            }
+            for image_id, row in enumerate(_iterate_split(settings, folder, split), start=1)
+        )
+        _write_entries(handle, images)
+        handle.write('],\n"annotations": [\n')
+        _write_entries(handle, _iterate_annotations(settings, folder, split, keypoints))
+        handle.write("]}\n")
+
+
+def _iterate_split(settings: DatasetSettings, folder: Path, split: str) -> Iterator[Row]:
+    """Yield the labels of the images of a subset."""
+    return (row for row in iterate_rows(settings, folder) if row["split"] == split)
+
+
+def _iterate_annotations(settings: DatasetSettings, folder: Path, split: str, keypoints: list[str]) -> Iterator[Row]:
+    """Yield the COCO annotations of a subset with their numbers."""
+    number = 1
+    for image_id, row in enumerate(_iterate_split(settings, folder, split), start=1):
+        entry = json.loads((folder / split / "labels" / f"{row['name']}.json").read_bytes())
+        for annotation in make_annotations(entry, keypoints, image_id, number):
+            yield annotation
+            number += 1
+
+
+def _write_entries(handle: TextIO, entries: Iterator[Row]) -> None:
+    """Write the entries of a JSON list, one per line."""
+    for number, entry in enumerate(entries):
+        handle.write((",\n" if number else "") + json.dumps(entry))
+    handle.write("\n")

@@ -1,0 +1,289 @@
+"""Plan a data set part by part, so that a plan of millions of images is never held in memory."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from hashlib import blake2b
+from typing import Any
+
+import numpy as np
+
+from ..model.knee import MARGIN_AND_SPINE_SITES, Knee, Osteophyte
+from ..model.progression import progress, true_change
+from ..model.protocol import Protocol
+from ..model.sampling.acquisition import sample_acquisition
+from ..model.sampling.knee_sampling import sample_knee_from_distributions, sample_shared_fields
+from .dataset_settings import SPLITS, DatasetSettings
+from .dataset_tables import DatasetTables
+
+# The following keys separate the random streams of a data set. A stream is identified by the key and a number.
+_GRADES, _BODY, _KNEE, _ACQUISITION, _NOISE, _PAIR = range(6)
+# Number of people of a part if images are written as single files.
+_PEOPLE_PER_PART = 4
+# Time between the two visits of a pair, in years.
+_VISIT_RANGE_YEARS = (1.0, 8.0)
+# Size of an osteophyte that distinguishes the two knees of a pair, in mm.
+_ADDED_OSTEOPHYTE_MM = (2.0, 6.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannedImage:
+    """Parameters of one image of a data set.
+
+    Attributes
+    ----------
+    name : str
+        Name of the image, 16 hexadecimal digits that do not depend on its content.
+    person : str
+        Name of the person, 16 hexadecimal digits.
+    split : {"train", "validation", "test"}
+        Subset to which all images of the person belong.
+    knee : Knee
+        Parameters of the knee.
+    protocol : Protocol
+        Protocol of the acquisition.
+    seed : int
+        Seed of noise, crop, display processing and randomisation.
+    pair : str
+        Name that the two images of a pair share; empty if the data set has no pairs.
+    role : {"", "first", "second"}
+        Position of the image in its pair.
+    change : mapping of str to object
+        True difference between the two images of a pair, second minus first.
+    """
+
+    name: str
+    person: str
+    split: str
+    knee: Knee
+    protocol: Protocol
+    seed: int
+    pair: str = ""
+    role: str = ""
+    change: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Part:
+    """Range of people whose images are made together.
+
+    Attributes
+    ----------
+    index : int
+        Index of the part in the data set.
+    split : str
+        Subset to which the people belong.
+    split_index : int
+        Index of the part in its subset.
+    first : int
+        Number of the first person.
+    count : int
+        Number of people.
+    """
+
+    index: int
+    split: str
+    split_index: int
+    first: int
+    count: int
+
+
+def count_parts(settings: DatasetSettings) -> int:
+    """Count the parts of a data set.
+
+    Parameters
+    ----------
+    settings : DatasetSettings
+        Settings of the data set.
+
+    Returns
+    -------
+    int
+        Number of parts.
+    """
+    size = _count_people_per_part(settings)
+    return sum(-(-count // size) for _, count in _assign_people(settings).values())
+
+
+def find_part(settings: DatasetSettings, index: int) -> Part:
+    """Find the people of a part. No part contains people of two subsets.
+
+    Parameters
+    ----------
+    settings : DatasetSettings
+        Settings of the data set.
+    index : int
+        Index of the part, from 0.
+
+    Returns
+    -------
+    Part
+        Subset and people of the part.
+
+    Raises
+    ------
+    IndexError
+        If the data set has fewer parts.
+    """
+    size, before = _count_people_per_part(settings), 0
+    for split, (first, count) in _assign_people(settings).items():
+        parts = -(-count // size)
+        if 0 <= index - before < parts:
+            offset = (index - before) * size
+            return Part(index, split, index - before, first + offset, min(size, count - offset))
+        before += parts
+    raise IndexError(f"part must be an index below {before}, got {index}")
+
+
+def plan_part(settings: DatasetSettings, tables: DatasetTables, index: int) -> list[PlannedImage]:
+    """Sample the people of a part, their knees and their acquisitions.
+
+    Parameters
+    ----------
+    settings : DatasetSettings
+        Settings of the data set.
+    tables : DatasetTables
+        Result of `load_dataset_tables`.
+    index : int
+        Index of the part.
+
+    Returns
+    -------
+    list of PlannedImage
+        Images of the part, in the order of the people.
+    """
+    part = find_part(settings, index)
+    people = range(part.first, part.first + part.count)
+    return [planned for person in people for planned in plan_person(settings, tables, person, part.split)]
+
+
+def plan_person(settings: DatasetSettings, tables: DatasetTables, person: int, split: str) -> list[PlannedImage]:
+    """Sample the knees of one person and their acquisitions.
+
+    Parameters
+    ----------
+    settings : DatasetSettings
+        Settings of the data set.
+    tables : DatasetTables
+        Result of `load_dataset_tables`.
+    person : int
+        Number of the person.
+    split : str
+        Subset to which the person belongs.
+
+    Returns
+    -------
+    list of PlannedImage
+        Images of the person.
+
+    Notes
+    -----
+    The images of a person depend only on the seed and the number of the person. Both knees of a person share the
+    properties of the body (`sample_knee_pair`).
+    """
+    grade = _sample_grade(settings, tables, person)
+    shared = sample_shared_fields(tables.distributions, grade=grade, rng=_stream(settings.seed, person, _BODY))
+    rng = _stream(settings.seed, person, _KNEE)
+    sides = ("right", "left") if settings.knees_per_person == 2 else (("right", "left")[int(rng.integers(2))],)
+    images = []
+    for turn, side in enumerate(sides):
+        of_knee = _stream(settings.seed, person, _KNEE, turn)
+        knee = sample_knee_from_distributions(tables.distributions, grade=grade, rng=of_knee, **shared, side=side)
+        images += _plan_knee(settings, tables, (person, turn), split, knee)
+    return images
+
+
+def _plan_knee(
+    settings: DatasetSettings, tables: DatasetTables, at: tuple[int, int], split: str, knee: Knee
+) -> list[PlannedImage]:
+    """Plan the image of a knee, or its pair of images; `at` is the number of the person and of the knee."""
+    chance = _stream(settings.seed, *at, _PAIR)
+    nominal = tables.protocols[int(chance.integers(len(tables.protocols)))]
+    if settings.pairs == "none":
+        return [_plan_image(settings, (*at, 0), split, knee, nominal)]
+    first, second, change = (knee, nominal), (knee, nominal), {}
+    if settings.pairs == "protocol":
+        first, second = ((knee, protocol) for protocol in tables.protocols)
+        change = {"protocol": [first[1].name, second[1].name]}
+    elif settings.pairs == "lesion":
+        other, change = _change_one_lesion(knee, chance)
+        second = (other, nominal)
+    else:
+        years = round(float(chance.uniform(*_VISIT_RANGE_YEARS)), 2)
+        later = progress(knee, years, int(chance.integers(2**31)))
+        second, change = (later, nominal), {"years": years, **true_change(knee, later)}
+    pair = _make_name(settings.seed, "pair", *at)
+    return [
+        replace(_plan_image(settings, (*at, turn), split, *of), pair=pair, role=role, change=change)
+        for turn, (role, of) in enumerate((("first", first), ("second", second)))
+    ]
+
+
+def _plan_image(
+    settings: DatasetSettings, at: tuple[int, int, int], split: str, knee: Knee, nominal: Protocol
+) -> PlannedImage:
+    """Sample the acquisition of one image; `at` is the number of the person, the knee and the image.
+
+    The two images of a lesion pair have the same acquisition, so that the lesion is the only difference besides noise.
+    """
+    if settings.acquisition == "sampled":
+        turn = 0 if settings.pairs == "lesion" else at[2]
+        rng = _stream(settings.seed, *at[:2], turn, _ACQUISITION)
+        nominal = sample_acquisition(nominal, rng=rng, side=knee.side)
+    return PlannedImage(
+        name=_make_name(settings.seed, "image", *at),
+        person=_make_name(settings.seed, "person", at[0]),
+        split=split,
+        knee=knee,
+        protocol=nominal,
+        seed=int(_stream(settings.seed, *at, _NOISE).integers(2**63)),
+    )
+
+
+def _change_one_lesion(knee: Knee, rng: np.random.Generator) -> tuple[Knee, dict[str, Any]]:
+    """Remove one osteophyte or cyst of a knee at random, or add an osteophyte to a knee without any."""
+    lesions = [("osteophyte", one) for one in knee.osteophytes] + [("cyst", one) for one in knee.cysts]
+    if not lesions:
+        site, size = (
+            MARGIN_AND_SPINE_SITES[int(rng.integers(len(MARGIN_AND_SPINE_SITES)))],
+            round(float(rng.uniform(*_ADDED_OSTEOPHYTE_MM)), 2),
+        )
+        grown = replace(knee, osteophytes=(Osteophyte(site=site, size_mm=size),), grade=None)
+        return grown, {"lesion": "osteophyte", "added": True, "site": site, "size_mm": size}
+    kind, lost = lesions[int(rng.integers(len(lesions)))]
+    kept = {f"{kind}s": tuple(one for one in getattr(knee, f"{kind}s") if one is not lost)}
+    size = lost.size_mm if isinstance(lost, Osteophyte) else lost.diameter_mm
+    return replace(knee, **kept, grade=None), {"lesion": kind, "added": False, "site": lost.site, "size_mm": size}
+
+
+def _sample_grade(settings: DatasetSettings, tables: DatasetTables, person: int) -> int:
+    """Return the grade of a person: balanced within blocks of people, or sampled with the prevalence."""
+    grades = tables.distributions.grades.grades
+    if settings.grades == "balanced":
+        block, place = divmod(person, len(grades))
+        return int(_stream(settings.seed, block, _GRADES).permutation(grades)[place])
+    weights = np.array([tables.definitions.grades.prevalence[grade] for grade in grades])
+    return int(_stream(settings.seed, person, _GRADES).choice(grades, p=weights / weights.sum()))
+
+
+def _assign_people(settings: DatasetSettings) -> dict[str, tuple[int, int]]:
+    """Return number of the first person and number of people for each subset."""
+    ends = [round(settings.person_count * total) for total in np.cumsum(settings.split).tolist()]
+    starts = [0, *ends[:-1]]
+    return {split: (start, end - start) for split, start, end in zip(SPLITS, starts, ends, strict=True)}
+
+
+def _count_people_per_part(settings: DatasetSettings) -> int:
+    """Count the people of a part: those of a shard, or a few people if images are single files."""
+    if settings.layout == "shards":
+        return max(1, settings.shard_images // settings.images_per_person)
+    return _PEOPLE_PER_PART
+
+
+def _make_name(seed: int, kind: str, *numbers: int) -> str:
+    """Make a name from a hash, so that neither order nor grade can be inferred from it."""
+    return blake2b(f"{seed}:{kind}:{numbers}".encode(), digest_size=8).hexdigest()
+
+
+def _stream(seed: int, *key: int) -> np.random.Generator:
+    """Return the random generator with a key."""
+    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

@@ -1,0 +1,168 @@
+"""Settings of a data set."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from ..core.checks import InputError, require_choice, require_in_range, require_integer, require_seed
+from ..detector.display_rendering import DISPLAY_PROCESSING
+from .randomisation import resolve_transforms
+
+# Names of the subsets, in the order in which people are assigned to them.
+SPLITS = ("train", "validation", "test")
+# Kinds of image files that a data set can contain.
+IMAGE_KINDS = ("linear", "display")
+# Arrangements of the files.
+LAYOUTS = ("folder", "shards")
+# Kinds of paired images.
+PAIRS = ("none", "protocol", "lesion", "visit")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetSettings:
+    """Settings that determine every byte of a data set.
+
+    Attributes
+    ----------
+    images : int
+        Number of images, 1 to 100 million. It is rounded up to complete people.
+    seed : int
+        Seed of all random numbers.
+    matrix : int
+        Number of pixels along the longer side of an image; 0: as in the protocol.
+    protocols : tuple of str
+        Names or files of protocols. Each knee is imaged with one of them at random; with ``pairs = "protocol"``, with
+        the first two.
+    grade_table : str
+        Name or file of the grade table.
+    grades : {"balanced", "prevalence"}
+        ``"balanced"`` gives every KL grade of the table the same number of people. ``"prevalence"`` samples the grades
+        with their frequency in the Osteoarthritis Initiative.
+    knees_per_person : int
+        1, or 2 for both knees of a person.
+    acquisition : {"sampled", "fixed"}
+        ``"sampled"`` varies positioning, beam, kV, mAs, field and marker between images.
+    display : {"sampled", "processed", "log", "film"}
+        Display processing of 8-bit images; ``"sampled"`` varies it between images.
+    kinds : tuple of str
+        Kinds of image files: ``"linear"`` (16-bit TIFF) and ``"display"`` (8-bit PNG).
+    crop_mm : float
+        Side of a square crop about the joint, on the detector, in mm; 0: whole images. With a crop, `matrix` is the
+        size of the crop, and the image is simulated at its pixel size.
+    crop_shift_mm : float
+        Standard deviation of the distance between crop centre and joint centre in each direction, in mm.
+    split : tuple of float
+        Fractions of people for training, validation and test.
+    randomise : tuple of str
+        Names of transforms and recipes of `randomisation` that are applied after the physics.
+    pairs : {"none", "protocol", "lesion", "visit"}
+        Kind of paired images: the same knee with two protocols, with and without one lesion, or at two visits.
+    maps : tuple of str
+        Materials whose path lengths are saved as a map.
+    layout : {"folder", "shards"}
+        ``"folder"`` writes single files. ``"shards"`` writes tar files in the form of WebDataset.
+    shard_images : int
+        Number of images per shard.
+    engine : {"scanline", "embree"}
+        Ray caster.
+
+    Raises
+    ------
+    InputError
+        If a value is not allowed.
+    """
+
+    images: int = 500
+    seed: int = 0
+    matrix: int = 512
+    protocols: tuple[str, ...] = ("fixed_flexion",)
+    grade_table: str = "population"
+    grades: str = "balanced"
+    knees_per_person: int = 1
+    acquisition: str = "sampled"
+    display: str = "sampled"
+    kinds: tuple[str, ...] = ("linear", "display")
+    crop_mm: float = 0.0
+    crop_shift_mm: float = 3.0
+    split: tuple[float, float, float] = (0.7, 0.15, 0.15)
+    randomise: tuple[str, ...] = ()
+    pairs: str = "none"
+    maps: tuple[str, ...] = ()
+    layout: str = "folder"
+    shard_images: int = 100
+    engine: str = "scanline"
+
+    def __post_init__(self) -> None:
+        require_integer("images", self.images, 1, 100_000_000, "")
+        require_seed(self.seed)
+        require_integer("matrix", self.matrix, 0, 8192, "pixels")
+        require_integer("knees_per_person", self.knees_per_person, 1, 2, "")
+        require_choice("grades", self.grades, ("balanced", "prevalence"))
+        require_choice("acquisition", self.acquisition, ("sampled", "fixed"))
+        require_choice("display", self.display, ("sampled", *DISPLAY_PROCESSING))
+        require_choice("pairs", self.pairs, PAIRS)
+        require_choice("layout", self.layout, LAYOUTS)
+        require_integer("shard_images", self.shard_images, 1, 100_000, "")
+        for kind in self.kinds:
+            require_choice("kinds", kind, IMAGE_KINDS)
+        if not self.kinds:
+            raise InputError(f"kinds must be one or more of {', '.join(IMAGE_KINDS)}, got none")
+        require_in_range("crop_shift_mm", self.crop_shift_mm, 0, 50, "mm")
+        if self.crop_mm:
+            require_in_range("crop_mm", self.crop_mm, 20, 1000, "mm")
+        if len(self.split) != len(SPLITS) or min(self.split) < 0 or abs(sum(self.split) - 1) > 1e-6:
+            given = ", ".join(f"{part:g}" for part in self.split)
+            raise InputError(f"split must be three fractions (train, validation, test) with the sum 1, got {given}")
+        if not self.protocols:
+            raise InputError("protocols must be one or more names, got none")
+        if self.pairs == "protocol" and len(self.protocols) != 2:
+            raise InputError(f"protocols must be two for pairs = protocol, got {len(self.protocols)}")
+        resolve_transforms(self.randomise)
+
+    @property
+    def images_per_person(self) -> int:
+        """Number of images of one person."""
+        return self.knees_per_person * (1 if self.pairs == "none" else 2)
+
+    @property
+    def person_count(self) -> int:
+        """Number of people."""
+        return -(-self.images // self.images_per_person)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the settings as JSON-ready values.
+
+        Returns
+        -------
+        dict of str to object
+            Values keyed by field name.
+        """
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+
+
+def read_settings(table: Any, path: Path) -> DatasetSettings:
+    """Convert the settings in a dataset.json.
+
+    Parameters
+    ----------
+    table : object
+        Entry ``settings`` of the file.
+    path : Path
+        Path of the file, shown in error messages.
+
+    Returns
+    -------
+    DatasetSettings
+        Settings.
+
+    Raises
+    ------
+    InputError
+        If the entry has unknown names or values.
+    """
+    try:
+        return DatasetSettings(
+            **{name: tuple(value) if isinstance(value, list) else value for name, value in table.items()}
+        )
+    except (AttributeError, TypeError) as error:
+        raise InputError(f"file {path} must contain the settings of a data set, got others ({error})") from None

@@ -1,0 +1,114 @@
+"""Instances of an image in the form of COCO (Lin et al. 2014): masks as run lengths, boxes and keypoints."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .label_map import find_kind
+from .sample import Sample
+
+# COCO visibility flags: a landmark inside and outside the image.
+_VISIBLE, _NOT_LABELLED = 2, 0
+# Category number of the knee; the kinds of the label map have lower numbers.
+_KNEE_CATEGORY = 100
+
+
+def list_instances(sample: Sample, kinds: Mapping[str, int]) -> list[dict[str, Any]]:
+    """List the masks of an image as COCO annotations without numbers.
+
+    Parameters
+    ----------
+    sample : Sample
+        Image with its masks.
+    kinds : mapping of str to int
+        Category number of each kind of part.
+
+    Returns
+    -------
+    list of dict
+        Annotations; empty masks are omitted.
+    """
+    made = []
+    for name, mask in sample.masks.items():
+        if mask.any():
+            rows, cols = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+            box = [int(cols[0]), int(rows[0]), int(cols[-1] - cols[0] + 1), int(rows[-1] - rows[0] + 1)]
+            annotation = {"category_id": kinds[find_kind(name, kinds)], "name": name, "bbox": box}
+            made.append(annotation | {"area": int(mask.sum()), "iscrowd": 0, "segmentation": encode_run_lengths(mask)})
+    return made
+
+
+def encode_run_lengths(mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """Encode a mask as uncompressed run lengths, which pycocotools reads with ``frPyObjects``.
+
+    Parameters
+    ----------
+    mask : (rows, cols) bool array
+        Mask.
+
+    Returns
+    -------
+    dict of str to list of int
+        ``size``, and ``counts``: lengths of alternating runs of 0 and 1, column by column, starting with 0.
+    """
+    flat = np.concatenate(([False], mask.ravel(order="F"), [False]))
+    edges = np.flatnonzero(flat[1:] != flat[:-1])
+    counts = np.diff(np.concatenate(([0], edges, [mask.size]))).tolist()
+    return {"size": list(mask.shape), "counts": counts if counts[-1] else counts[:-1]}
+
+
+def make_categories(kinds: Mapping[str, int], keypoints: Sequence[str]) -> list[dict[str, Any]]:
+    """Make the categories of a COCO file: the kinds of parts, and the knee with its keypoints.
+
+    Parameters
+    ----------
+    kinds : mapping of str to int
+        Category number of each kind of part; 0 (background) is omitted.
+    keypoints : sequence of str
+        Names of all landmarks in the data set.
+
+    Returns
+    -------
+    list of dict
+        Categories.
+    """
+    parts = [{"id": value, "name": kind, "supercategory": "knee"} for kind, value in kinds.items() if value]
+    knee = {"id": _KNEE_CATEGORY, "name": "knee", "supercategory": "joint", "keypoints": list(keypoints)}
+    return [*parts, knee | {"skeleton": []}]
+
+
+def make_annotations(entry: Mapping[str, Any], keypoints: Sequence[str], image_id: int, first: int) -> Iterator[Any]:
+    """Yield the COCO annotations of one image: its knee with keypoints, and its instances.
+
+    Parameters
+    ----------
+    entry : mapping of str to object
+        Labels of the image: ``rows``, ``cols``, ``landmarks_px``, ``kl`` and ``instances``.
+    keypoints : sequence of str
+        Names of all landmarks in the data set.
+    image_id : int
+        Number of the image.
+    first : int
+        Number of the first annotation.
+
+    Yields
+    ------
+    dict
+        Annotation. A landmark outside the image, or of another view, has the coordinates and the visibility 0.
+    """
+    flat, seen = [], []
+    for name in keypoints:
+        row, col = entry["landmarks_px"].get(name) or (-1.0, -1.0)
+        inside = -0.5 <= row <= entry["rows"] - 0.5 and -0.5 <= col <= entry["cols"] - 0.5
+        flat += [round(col, 4), round(row, 4), _VISIBLE] if inside else [0, 0, _NOT_LABELLED]
+        seen += [(col, row)] if inside else []
+    corners = np.array(seen or [(0.0, 0.0)])
+    low, size = corners.min(axis=0), np.ptp(corners, axis=0)
+    box = [round(float(value), 4) for value in (*low, *size)]
+    common = {"image_id": image_id, "iscrowd": 0}
+    knee = {"category_id": _KNEE_CATEGORY, "keypoints": flat, "num_keypoints": len(seen), "bbox": box}
+    yield {"id": first, **common, **knee, "area": round(box[2] * box[3], 4), "attributes": {"kl": entry["kl"]}}
+    for number, instance in enumerate(entry["instances"], start=first + 1):
+        yield {"id": number, "image_id": image_id, **instance}

@@ -1,0 +1,71 @@
+"""Encode the files of one image: label map, images, path length maps and labels."""
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from ..io import dataset_files
+from .dataset_settings import DatasetSettings
+from .dataset_tables import DatasetTables
+from .instances import list_instances
+from .sample import Sample
+
+
+def collect_labels(sample: Sample) -> dict[str, Any]:
+    """Collect the labels of an image as JSON-ready values.
+
+    Parameters
+    ----------
+    sample : Sample
+        Image with its labels.
+
+    Returns
+    -------
+    dict of str to object
+        Name, person, subset, size, landmarks and all labels.
+    """
+    rows, cols = sample.linear.shape
+    return {
+        "name": sample.name,
+        "person": sample.person,
+        "split": sample.split,
+        "rows": rows,
+        "cols": cols,
+        "pixel_mm": round(sample.pixel_mm, 9),
+        **sample.labels,
+        "landmarks_px": {name: [round(row, 4), round(col, 4)] for name, (row, col) in sample.landmarks_px.items()},
+    }
+
+
+def encode_sample(sample: Sample, settings: DatasetSettings, tables: DatasetTables) -> Iterator[tuple[str, bytes]]:
+    """Encode the files of one image.
+
+    Parameters
+    ----------
+    sample : Sample
+        Image with its labels.
+    settings : DatasetSettings
+        Settings of the data set.
+    tables : DatasetTables
+        Tables and protocols.
+
+    Yields
+    ------
+    tuple of (str, bytes)
+        Path relative to the data set, or name in the shard, and content.
+    """
+    contents = {"label_map.png": dataset_files.encode_png(sample.label_map)}
+    if "linear" in settings.kinds:
+        contents["linear.tif"] = dataset_files.encode_tiff(sample.linear, sample.pixel_mm)
+    if "display" in settings.kinds:
+        contents["display.png"] = dataset_files.encode_png(sample.display)
+    if settings.maps:
+        contents["maps.tif"] = dataset_files.encode_maps(sample.maps)
+    entry = {**collect_labels(sample), "instances": list_instances(sample, tables.definitions.label_map)}
+    contents["json"] = (json.dumps(entry) + "\n").encode()
+    for ending, content in contents.items():
+        if settings.layout == "shards":
+            yield f"{sample.name}.{ending}", content
+        else:
+            kind, _, suffix = ending.rpartition(".")
+            yield f"{sample.split}/{kind or 'labels'}/{sample.name}.{suffix}", content

@@ -1,0 +1,292 @@
+"""Data sets of labelled images: plans, files, label maps, randomisation and resumption."""
+
+import dataclasses
+import json
+import tarfile
+
+import numpy as np
+import pytest
+import tifffile
+from command_line import run as run_pssf
+from PIL import Image
+
+import pssf
+from pssf.dataset import (
+    RECIPES,
+    TRANSFORMS,
+    DatasetSettings,
+    count_parts,
+    load_dataset_tables,
+    make_dataset,
+    make_randomised_sample,
+    make_sample,
+    plan_part,
+    randomise,
+    verify_dataset,
+)
+from pssf.dataset.dataset_plan import find_part
+from pssf.dataset.instances import encode_run_lengths
+from pssf.dataset.label_map import add_joint_space_masks, draw_label_map
+
+SMALL = {"matrix": 96, "seed": 5}
+
+
+@pytest.fixture(scope="module")
+def sample_of_knee():
+    """Plan and sample of one small image with settings and tables."""
+    settings = DatasetSettings(images=4, **SMALL)
+    tables = load_dataset_tables(settings)
+    planned = plan_part(settings, tables, 0)[0]
+    return planned, make_sample(planned, settings, tables), settings, tables
+
+
+@pytest.mark.parametrize("changes", [{}, {"knees_per_person": 2}, {"pairs": "visit"}, {"layout": "shards"}])
+def test_parts_cover_every_person_once_without_mixing_subsets(changes):
+    settings = DatasetSettings(images=101, shard_images=20, **changes)
+    parts = [find_part(settings, index) for index in range(count_parts(settings))]
+    people = [person for part in parts for person in range(part.first, part.first + part.count)]
+    assert people == list(range(settings.person_count))
+    assert settings.person_count * settings.images_per_person >= 101
+    fractions = [sum(part.count for part in parts if part.split == name) for name in ("train", "validation", "test")]
+    assert np.allclose(np.array(fractions) / settings.person_count, settings.split, atol=1 / settings.person_count)
+    with pytest.raises(IndexError, match="part must be an index below"):
+        find_part(settings, len(parts))
+
+
+def test_a_balanced_plan_has_the_same_number_of_people_of_each_grade_and_names_tell_nothing():
+    settings = DatasetSettings(images=40, knees_per_person=2, split=(1.0, 0.0, 0.0))
+    tables = load_dataset_tables(settings)
+    planned = [image for index in range(count_parts(settings)) for image in plan_part(settings, tables, index)]
+    grades = [image.knee.grade for image in planned]
+    assert [grades.count(grade) for grade in range(5)] == [8] * 5
+    assert len({image.name for image in planned}) == 40
+    assert len({image.person for image in planned}) == 20
+    for right, left in zip(planned[::2], planned[1::2], strict=True):
+        assert (right.person, right.knee.side, left.knee.side) == (left.person, "right", "left")
+        assert right.knee.stature_mm == left.knee.stature_mm
+    # The order of the names is independent of the grades: a rank correlation of 40 grades has a spread of 0.16.
+    order = np.argsort(np.argsort([image.name for image in planned]))
+    assert abs(np.corrcoef(order, grades)[0, 1]) < 4 * 0.16
+
+
+def test_prevalence_gives_grades_the_frequencies_of_the_osteoarthritis_initiative():
+    settings = DatasetSettings(images=1000, grades="prevalence", split=(1.0, 0.0, 0.0))
+    tables = load_dataset_tables(settings)
+    planned = [image for index in range(40) for image in plan_part(settings, tables, index)]
+    counts = np.bincount([image.knee.grade for image in planned], minlength=5)
+    share = np.array(tables.definitions.grades.prevalence) / 8260
+    spread = np.sqrt(share * (1 - share) / len(planned))
+    assert (abs(counts / len(planned) - share) < 4 * spread).all()
+
+
+def test_pairs_differ_only_in_what_their_change_says():
+    for pairs, protocols in (("lesion", 1), ("visit", 1), ("protocol", 2)):
+        names = ("fixed_flexion", "reference")[:protocols]
+        settings = DatasetSettings(images=20, pairs=pairs, protocols=names, seed=3)
+        tables = load_dataset_tables(settings)
+        planned = plan_part(settings, tables, 0)
+        for first, second in zip(planned[::2], planned[1::2], strict=True):
+            assert (first.pair, first.role, second.role) == (second.pair, "first", "second")
+            assert first.person == second.person
+            if pairs == "lesion":
+                kind = first.change["lesion"] + "s"
+                before, after = (len(getattr(image.knee, kind)) for image in (first, second))
+                assert after - before == (1 if first.change["added"] else -1)
+                assert first.protocol == second.protocol
+                unchanged = dataclasses.replace(first.knee, **{kind: (), "grade": None})
+                assert dataclasses.replace(second.knee, **{kind: ()}) == unchanged
+            elif pairs == "visit":
+                assert pssf.true_change(first.knee, second.knee).items() <= first.change.items()
+            else:
+                assert first.knee == second.knee
+                assert (first.protocol.name, second.protocol.name) == names
+
+
+def test_the_label_map_holds_the_masks_and_the_joint_space_lies_between_the_bones(sample_of_knee):
+    _, sample, _, tables = sample_of_knee
+    values = tables.definitions.label_map
+    assert set(np.unique(sample.label_map)) <= set(values.values())
+    for side in ("medial", "lateral"):
+        space = sample.masks[f"{side}_joint_space"]
+        assert space.any()
+        assert not (space & (sample.masks["femur"] | sample.masks["tibia"])).any()
+        for col in np.flatnonzero(space.any(axis=0)):
+            column = np.flatnonzero(space[:, col])
+            assert sample.masks["femur"][column[0] - 1, col]
+            assert sample.masks["tibia"][column[-1] + 1, col]
+    only_femur = sample.masks["femur"] & ~np.logical_or.reduce(
+        [mask for name, mask in sample.masks.items() if name != "femur"]
+    )
+    assert (sample.label_map[only_femur] == values["femur"]).all()
+
+
+def test_masks_without_frontal_landmarks_have_no_joint_space():
+    masks = {"femur": np.ones((3, 3), bool), "tibia": np.zeros((3, 3), bool)}
+    assert add_joint_space_masks(masks, {}).keys() == masks.keys()
+    assert draw_label_map({"screw_1": masks["femur"]}, {"femur": 1, "implant": 9}, (3, 3)).tolist() == [[9] * 3] * 3
+
+
+def test_a_crop_is_the_same_image_about_the_joint_and_its_landmarks_follow(sample_of_knee):
+    planned, whole, settings, tables = sample_of_knee
+    side_mm = 40 * whole.pixel_mm
+    cropped = make_sample(planned, dataclasses.replace(settings, crop_mm=side_mm, matrix=40), tables)
+    crop = cropped.labels["crop"]
+    rows, cols = (slice(crop[f"{edge}_px"], crop[f"{edge}_px"] + 40) for edge in ("top", "left"))
+    assert (cropped.linear == whole.linear[rows, cols]).all()
+    assert (cropped.label_map == whole.label_map[rows, cols]).all()
+    row, col = cropped.landmarks_px["joint_centre"]
+    assert abs(row - 19.5) * whole.pixel_mm < 7
+    assert (row + crop["top_px"], col + crop["left_px"]) == whole.landmarks_px["joint_centre"]
+
+
+def test_a_crop_with_a_matrix_is_simulated_at_its_pixel_size():
+    settings = DatasetSettings(images=1, crop_mm=140.0, matrix=224)
+    (protocol,) = load_dataset_tables(settings).protocols
+    assert protocol.pixel_mm == pytest.approx(140 / 224)
+    nominal = pssf.load_protocol("fixed_flexion")
+    for side in ("rows", "cols"):
+        longer = getattr(protocol, side) * protocol.pixel_mm - getattr(nominal, side) * nominal.pixel_mm
+        assert 0 <= longer < protocol.pixel_mm
+
+
+@pytest.mark.parametrize("name", TRANSFORMS)
+def test_each_transform_is_reproducible_and_only_the_affine_one_moves_labels(sample_of_knee, name):
+    _, sample, _, _ = sample_of_knee
+    once, again = (randomise(sample, (name,), np.random.default_rng(2)) for _ in range(2))
+    assert (once.display == again.display).all()
+    assert once.labels["randomised"] == [name]
+    changed = any(
+        (randomise(sample, (name,), np.random.default_rng(k)).display != sample.display).any() for k in range(8)
+    )
+    assert changed
+    moved = once.landmarks_px != sample.landmarks_px
+    assert moved == (name == "affine")
+    assert (once.linear != sample.linear).any() == (name == "affine")
+
+
+def test_affine_landmarks_stay_on_their_anatomy(sample_of_knee):
+    _, sample, _, _ = sample_of_knee
+    rows, cols = np.indices(sample.linear.shape)
+    for row, col in ((40, 50), (60, 30)):
+        blob = np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / 18)
+        marked = dataclasses.replace(
+            sample, linear=np.rint(blob * 60000).astype(np.uint16), landmarks_px={"blob": (float(row), float(col))}
+        )
+        for seed in range(5):
+            moved = randomise(marked, ("affine",), np.random.default_rng(seed))
+            weights = moved.linear / moved.linear.sum()
+            centre = ((weights * rows).sum(), (weights * cols).sum())
+            assert moved.landmarks_px["blob"] == pytest.approx(centre, abs=0.05)
+            assert moved.pixel_mm != sample.pixel_mm
+
+
+def test_run_lengths_reproduce_a_mask():
+    rng = np.random.default_rng(1)
+    for mask in (rng.random((7, 5)) < 0.5, np.ones((3, 2), bool), np.zeros((3, 2), bool)):
+        coded = encode_run_lengths(mask)
+        values = np.repeat(np.arange(len(coded["counts"])) % 2, coded["counts"])
+        assert (values.reshape(mask.shape, order="F") == mask).all()
+
+
+def _read_files(folder):
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_data_set_has_the_same_bytes_for_any_workers_and_after_an_interruption(tmp_path):
+    settings = DatasetSettings(images=8, split=(0.5, 0.25, 0.25), maps=("cortical_bone",), randomise=("mild",), **SMALL)
+    make_dataset(settings, tmp_path / "one", workers=1)
+    expected = _read_files(tmp_path / "one")
+    make_dataset(settings, tmp_path / "two", workers=2)
+    assert _read_files(tmp_path / "two") == expected
+    # A killed run leaves files without a record; a lost image makes its part incomplete.
+    (tmp_path / "two/records/part-000000.json").unlink()
+    next((tmp_path / "two/test/linear").iterdir()).unlink()
+    (tmp_path / "two/index.csv").unlink()
+    kept, made = [], []
+    make_dataset(settings, tmp_path / "two", workers=1, progress=made.append, on_kept=kept.append)
+    assert (sum(kept), sum(made)) == (2, 6)
+    assert _read_files(tmp_path / "two") == expected
+    assert verify_dataset(tmp_path / "two") == (8, [])
+    _require_readable(tmp_path / "two", settings)
+    damaged = next((tmp_path / "two/train/linear").iterdir())
+    damaged.write_bytes(b"")
+    assert verify_dataset(tmp_path / "two")[1] == [f"train/linear/{damaged.name}: changed"]
+    with pytest.raises(pssf.InputError, match=r"must be unchanged, got other content; delete .*part-000000\.json"):
+        make_dataset(settings, tmp_path / "two", workers=1)
+    with pytest.raises(pssf.InputError, match="contains a different cohort|different"):
+        make_dataset(dataclasses.replace(settings, seed=6), tmp_path / "one", workers=1)
+
+
+def _require_readable(folder, settings):
+    """Require that the files of a data set agree with each other."""
+    tables = load_dataset_tables(settings)
+    coco = json.loads((folder / "coco_train.json").read_text())
+    assert len(coco["images"]) == 4
+    for image in coco["images"]:
+        name = image["file_name"].split("/")[-1].removesuffix(".png")
+        display = np.array(Image.open(folder / image["file_name"]))
+        labels = json.loads((folder / "train/labels" / f"{name}.json").read_text())
+        linear = tifffile.imread(folder / "train/linear" / f"{name}.tif")
+        assert display.shape == linear.shape == (image["height"], image["width"]) == (labels["rows"], labels["cols"])
+        with tifffile.TiffFile(folder / "train/maps" / f"{name}.tif") as tiff:
+            assert [page.tags["PageName"].value for page in tiff.pages] == ["cortical_bone"]
+        knee, *parts = (one for one in coco["annotations"] if one["image_id"] == image["id"])
+        assert knee["num_keypoints"] == len(labels["landmarks_px"])
+        label_map = np.array(Image.open(folder / "train/label_map" / f"{name}.png"))
+        assert {tables.definitions.label_map["femur"]} <= set(np.unique(label_map))
+        assert {part["name"] for part in parts} == {part["name"] for part in labels["instances"]}
+    header = (folder / "index.csv").read_text().splitlines()
+    assert len(header) == 9
+
+
+def test_shards_hold_all_files_of_an_image_under_one_key(tmp_path):
+    settings = DatasetSettings(images=3, layout="shards", shard_images=2, split=(1.0, 0.0, 0.0), **SMALL)
+    make_dataset(settings, tmp_path, workers=1)
+    first, second = sorted((tmp_path / "train").iterdir())
+    assert (first.name, second.name) == ("train-000000.tar", "train-000001.tar")
+    with tarfile.open(first) as tar:
+        members = tar.getnames()
+        assert {entry.mtime for entry in tar.getmembers()} == {0}
+    keys = {name.split(".", 1)[0] for name in members}
+    assert len(keys) == 2
+    assert {name.split(".", 1)[1] for name in members} == {"label_map.png", "linear.tif", "display.png", "json"}
+    assert verify_dataset(tmp_path) == (3, [])
+
+
+def test_a_repeat_of_the_randomisation_changes_only_the_transforms(sample_of_knee):
+    planned, sample, settings, tables = sample_of_knee
+    strong = dataclasses.replace(settings, randomise=("gamma", "noise"))
+    first, second = (make_randomised_sample(planned, strong, tables, repeat=repeat) for repeat in (0, 1))
+    assert (first.linear == second.linear).all()
+    assert (first.linear == sample.linear).all()
+    assert (first.display != second.display).any()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--randomise", "mild,gamma"], "randomise must list each transform once, got gamma twice"),
+        (["--randomise", "gama"], "randomise must be one of mild, strong, affine"),
+        (["--split", "0.5,0.5"], "split must be three fractions, such as 0.7,0.15,0.15, got '0.5,0.5'"),
+        (["--split", "0.5,0.5,0.5"], "the sum 1, got 0.5, 0.5, 0.5"),
+        (["--pairs", "protocol"], "protocols must be two for pairs = protocol, got 1"),
+        (["--protocols", "bilateral"], "protocols must"),
+        (["--crop-mm", "900"], "crop_mm must be at most"),
+        (["--kinds", ""], "kinds must be one or more of linear, display, got none"),
+        (["--layout", "zip"], "layout must be one of folder, shards, got 'zip'"),
+        (["--images", "0"], "images must be"),
+        (["--maps", "butter"], "maps must be"),
+        ([], "out must be a folder for the data set, got out = none: add --out FOLDER"),
+    ],
+)
+def test_wrong_settings_give_one_line_and_exit_code_2(options, message, tmp_path):
+    out = ["--out", str(tmp_path / "set")] if options else []
+    count = [] if "--images" in options else ["--images", "2"]
+    result = run_pssf("dataset", *count, *options, *out)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert len(result.stderr.strip().splitlines()) == 1
+
+
+def test_recipes_consist_of_known_transforms():
+    assert all(name in TRANSFORMS for names in RECIPES.values() for name in names)
