@@ -58,8 +58,8 @@ def estimate_cost(settings: DatasetSettings) -> CostEstimate:
 
     Notes
     -----
-    The first people of the training set have all KL grades in a balanced data set. The standard error of the CPU time is
-    some 10 %, because knees with osteophytes take longer.
+    In a balanced data set, the first people have all KL grades. Knees with osteophytes take longer, so the estimate of
+    a data set with other frequencies of the grades is less exact.
     """
     tables, sizes, seconds, made = load_dataset_tables(settings), list[int](), 0.0, 0
     for person in range(min(settings.person_count, _MEASURED_PEOPLE) + 1):

@@ -102,9 +102,9 @@ def flatten_row(row: Mapping[str, Any], prefix: str = "") -> Row:
 
 def _write_coco(settings: DatasetSettings, tables: DatasetTables, folder: Path, split: str) -> None:
     """Write the COCO file of a subset image by image."""
-    keypoints = list(
-        dict.fromkeys(name for row in _iterate_split(settings, folder, split) for name in row["landmarks_px"])
-    )
+    rows = _iterate_split(settings, folder, split)
+    rows = _iterate_split(settings, folder, split)
+    keypoints = list(dict.fromkeys(name for row in rows for name in row["landmarks_px"]))
     if not keypoints:
         return
     kind, suffix = ("display", "png") if "display" in settings.kinds else ("linear", "tif")

@@ -250,7 +250,7 @@ def _change_one_lesion(knee: Knee, rng: np.random.Generator) -> tuple[Knee, dict
         grown = replace(knee, osteophytes=(Osteophyte(site=site, size_mm=size),), grade=None)
         return grown, {"lesion": "osteophyte", "added": True, "site": site, "size_mm": size}
     kind, lost = lesions[int(rng.integers(len(lesions)))]
-    kept = {f"{kind}s": tuple(one for one in getattr(knee, f"{kind}s") if one is not lost)}
+    kept: dict[str, Any] = {f"{kind}s": tuple(one for one in getattr(knee, f"{kind}s") if one is not lost)}
     size = lost.size_mm if isinstance(lost, Osteophyte) else lost.diameter_mm
     return replace(knee, **kept, grade=None), {"lesion": kind, "added": False, "site": lost.site, "size_mm": size}
 

@@ -50,8 +50,8 @@ def load_dataset_tables(settings: DatasetSettings) -> DatasetTables:
     Raises
     ------
     InputError
-        If a protocol, a material or the grade table is unknown, a protocol images two knees, or the crop is larger than the
-        detector.
+        If a protocol, a material or the grade table is unknown, a protocol images two knees, or the crop is larger than
+        the detector.
     """
     for name in settings.maps:
         require_choice("maps", name, tuple(load_tissues()))

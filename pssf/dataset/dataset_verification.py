@@ -35,10 +35,8 @@ def verify_dataset(folder: str | Path) -> tuple[int, list[str]]:
     if not (folder / SETTINGS_FILE).exists():
         raise InputError(f"folder must contain a data set made by pssf dataset, got {folder} without {SETTINGS_FILE}")
     specified: dict[str, Any] = read_json(folder / SETTINGS_FILE, dict[str, Any])
-    settings, claim = (
-        read_settings(specified.get("settings"), folder / SETTINGS_FILE),
-        hash_file(folder / SETTINGS_FILE),
-    )
+    settings = read_settings(specified.get("settings"), folder / SETTINGS_FILE)
+    claim = hash_file(folder / SETTINGS_FILE)
     images, faults = 0, list[str]()
     for index in range(count_parts(settings)):
         record = read_part(folder, index, claim)

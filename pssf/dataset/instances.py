@@ -98,7 +98,7 @@ def make_annotations(entry: Mapping[str, Any], keypoints: Sequence[str], image_i
     dict
         Annotation. A landmark outside the image, or of another view, has the coordinates and the visibility 0.
     """
-    flat, seen = [], []
+    flat, seen = list[float](), list[tuple[float, float]]()
     for name in keypoints:
         row, col = entry["landmarks_px"].get(name) or (-1.0, -1.0)
         inside = -0.5 <= row <= entry["rows"] - 0.5 and -0.5 <= col <= entry["cols"] - 0.5

@@ -40,10 +40,8 @@ def add_joint_space_masks(
     above = rows < np.where(tibia.any(axis=0), tibia.argmax(axis=0), 0)
     middle, made = (medial_col + lateral_col) / 2, dict(masks)
     for side, col in (("medial", medial_col), ("lateral", lateral_col)):
-        fraction = (cols - middle) / (col - middle)
-        made[f"{side}_joint_space"] = (
-            below & above & (fraction >= COMPARTMENT_RANGE[0]) & (fraction <= COMPARTMENT_RANGE[1])
-        )
+        fraction, (inner, outer) = (cols - middle) / (col - middle), COMPARTMENT_RANGE
+        made[f"{side}_joint_space"] = below & above & (fraction >= inner) & (fraction <= outer)
     return made
 
 

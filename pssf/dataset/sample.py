@@ -167,16 +167,11 @@ def _describe_processing(processing: FlatPanelProcessing) -> dict[str, float]:
 
 def _crop(sample: Sample, settings: DatasetSettings, seed: int) -> Sample:
     """Cut a square about the joint to complete pixels; pixels outside the image have the value of its edge."""
-    side = round(settings.crop_mm / sample.pixel_mm)
-    shift_px = make_stream(seed, CROP_KEY).normal(0.0, settings.crop_shift_mm, 2) / sample.pixel_mm
-    centre = np.array(_find_centre_px(sample)) + np.clip(
-        shift_px, *(sign * 2 * settings.crop_shift_mm / sample.pixel_mm for sign in (-1, 1))
-    )
-    top, left = (int(at) for at in np.rint(centre - (side - 1) / 2))
+    side, most_px = round(settings.crop_mm / sample.pixel_mm), 2 * settings.crop_shift_mm / sample.pixel_mm
+    shift_px = np.clip(make_stream(seed, CROP_KEY).normal(0.0, most_px / 2, 2), -most_px, most_px)
+    top, left = (int(at) for at in np.rint(np.array(_find_centre_px(sample)) + shift_px - (side - 1) / 2))
     rows, cols = sample.linear.shape
-    inside = np.ix_(
-        np.clip(np.arange(top, top + side), 0, rows - 1), np.clip(np.arange(left, left + side), 0, cols - 1)
-    )
+    inside = np.ix_(*(np.clip(np.arange(at, at + side), 0, n - 1) for at, n in ((top, rows), (left, cols))))
     return replace(
         sample,
         linear=sample.linear[inside],
