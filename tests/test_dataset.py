@@ -135,7 +135,8 @@ def test_a_crop_is_the_same_image_about_the_joint_and_its_landmarks_follow(sampl
     assert (cropped.linear == whole.linear[rows, cols]).all()
     assert (cropped.label_map == whole.label_map[rows, cols]).all()
     row, col = cropped.landmarks_px["joint_centre"]
-    assert abs(row - 19.5) * whole.pixel_mm < 7
+    # The shift is at most twice its standard deviation of 3 mm, and the crop has complete pixels.
+    assert max(abs(row - 19.5), abs(col - 19.5)) * whole.pixel_mm <= 6 + whole.pixel_mm / 2
     assert (row + crop["top_px"], col + crop["left_px"]) == whole.landmarks_px["joint_centre"]
 
 
@@ -213,7 +214,7 @@ def test_a_data_set_has_the_same_bytes_for_any_workers_and_after_an_interruption
     assert verify_dataset(tmp_path / "two")[1] == [f"train/linear/{damaged.name}: changed"]
     with pytest.raises(pssf.InputError, match=r"must be unchanged, got other content; delete .*part-000000\.json"):
         make_dataset(settings, tmp_path / "two", workers=1)
-    with pytest.raises(pssf.InputError, match="contains a different cohort|different"):
+    with pytest.raises(pssf.InputError, match=r"contains a different cohort \(settings\.seed = 5, requested 6\)"):
         make_dataset(dataclasses.replace(settings, seed=6), tmp_path / "one", workers=1)
 
 

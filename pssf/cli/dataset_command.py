@@ -121,9 +121,8 @@ def dataset(
             cost = estimate_cost(settings)
         print(f"images    {cost.images:,} in {cost.files:,} files")
         print(f"disk      {cost.disk_mb / 1000:,.1f} GB")
-        print(
-            f"CPU time  {cost.cpu_seconds / 3600:,.1f} h, or {cost.cpu_seconds / 3600 / workers:,.1f} h with {workers} workers"
-        )
+        hours = cost.cpu_seconds / 3600
+        print(f"CPU time  {hours:,.1f} h; run time with {workers} workers on as many cores {hours / workers:,.1f} h")
         print(f"estimated from {cost.measured_images} images on this machine")
         return
     if out is None:

@@ -200,7 +200,7 @@ def _plan_knee(
     nominal = tables.protocols[int(chance.integers(len(tables.protocols)))]
     if settings.pairs == "none":
         return [_plan_image(settings, (*at, 0), split, knee, nominal)]
-    first, second, change = (knee, nominal), (knee, nominal), {}
+    first, second, change = (knee, nominal), (knee, nominal), dict[str, Any]()
     if settings.pairs == "protocol":
         first, second = ((knee, protocol) for protocol in tables.protocols)
         change = {"protocol": [first[1].name, second[1].name]}

@@ -161,8 +161,7 @@ def read_settings(table: Any, path: Path) -> DatasetSettings:
         If the entry has unknown names or values.
     """
     try:
-        return DatasetSettings(
-            **{name: tuple(value) if isinstance(value, list) else value for name, value in table.items()}
-        )
+        values: dict[str, Any] = {name: tuple(of) if isinstance(of, list) else of for name, of in table.items()}
+        return DatasetSettings(**values)
     except (AttributeError, TypeError) as error:
         raise InputError(f"file {path} must contain the settings of a data set, got others ({error})") from None

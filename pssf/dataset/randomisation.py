@@ -6,7 +6,7 @@ alone: noise, gamma, affine transform, inversion, boxes, blur, contrast curves a
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +46,7 @@ def randomise(sample: "Sample", transforms: Sequence[str], rng: Generator) -> "S
     InputError
         If a transform is unknown.
     """
-    grey = sample.display.astype(np.float32) / 255
+    grey: Grey = sample.display.astype(np.float32) / np.float32(255)
     names = resolve_transforms(transforms)
     # Each transform has a generator of its own, so that adding a transform does not change the others.
     for name, chance in zip(names, rng.spawn(len(names)), strict=True):
@@ -151,9 +151,9 @@ def _transform_affine(sample: "Sample", grey: Grey, rng: Generator) -> tuple["Sa
     offset = centre + shift - matrix @ centre
     inverse = np.linalg.inv(matrix)
 
-    def resample(image: NDArray[np.generic], order: int) -> NDArray[np.generic]:
+    def resample(image: NDArray[Any], order: int) -> NDArray[Any]:
         """Resample an image; pixels outside have the value of its edge."""
-        moved: NDArray[np.generic] = ndimage.affine_transform(
+        moved: NDArray[Any] = ndimage.affine_transform(
             image, inverse, -inverse @ offset, order=order, mode="nearest", output=image.dtype
         )
         return moved
