@@ -8,7 +8,13 @@ from numpydoc.docscrape import NumpyDocString
 from test_house import SOURCES
 
 # Modules of commands: their docstrings are help texts, and the options are documented separately.
-COMMANDS = ("cli/__init__.py", "cli/making_commands.py", "cli/measuring_commands.py", "cli/study_command.py")
+COMMANDS = (
+    "cli/__init__.py",
+    "cli/dataset_command.py",
+    "cli/making_commands.py",
+    "cli/measuring_commands.py",
+    "cli/study_command.py",
+)
 COMMANDS += ("cli/benchmark_command.py", "cli/explore_command.py", "cli/features_command.py", "cli/predict_command.py")
 NOT_A_VERB = ("What", "Of", "Where", "How", "Whether", "Which", "Who", "The", "A", "An")
 PROPERTIES = {"property", "cached_property"}

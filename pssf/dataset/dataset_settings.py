@@ -114,7 +114,7 @@ class DatasetSettings:
             given = ", ".join(f"{part:g}" for part in self.split)
             raise InputError(f"split must be three fractions (train, validation, test) with the sum 1, got {given}")
         if not self.protocols:
-            raise InputError("protocols must be one or more names, got none")
+            raise InputError("protocols must be one or more names, got protocols = none")
         if self.pairs == "protocol" and len(self.protocols) != 2:
             raise InputError(f"protocols must be two for pairs = protocol, got {len(self.protocols)}")
         resolve_transforms(self.randomise)

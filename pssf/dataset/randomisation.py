@@ -78,11 +78,11 @@ def resolve_transforms(names: Sequence[str]) -> tuple[str, ...]:
     """
     for name in names:
         require_choice("randomise", name, (*RECIPES, *TRANSFORMS))
-    found = tuple(one for name in names for one in RECIPES.get(name, (name,)))
-    twice = next((name for name in found if found.count(name) > 1), None)
+    resolved = tuple(one for name in names for one in RECIPES.get(name, (name,)))
+    twice = next((name for name in resolved if resolved.count(name) > 1), None)
     if twice is not None:
         raise InputError(f"randomise must list each transform once, got {twice} twice")
-    return found
+    return resolved
 
 
 def _add_noise(grey: Grey, rng: Generator) -> Grey:

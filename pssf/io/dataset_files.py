@@ -79,8 +79,8 @@ def encode_maps(maps: Mapping[str, NDArray[np.float32]]) -> bytes:
 
     Parameters
     ----------
-    maps : mapping of str to (rows, cols) float32 array
-        Maps keyed by name.
+    maps : mapping of str to (rows, cols) float32 array, mm
+        Path lengths keyed by material.
 
     Returns
     -------
