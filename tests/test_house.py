@@ -69,6 +69,7 @@ ENTRY_POINTS = {
     # Functions that start a benchmark, a cohort, a measurement, a comparison or a prediction.
     "benchmark/benchmark_maker.py": "make_benchmark",
     "cohort/cohort_plan.py": "plan_cohort preset_names",
+    "dataset/dataset_tables.py": "load_dataset_tables",
     "quality/exposure_index.py": "measure_exposure_quantities compute_exposure_index compute_entrance_kerma_ugy",
     "quality/quality_measurement.py": "measure_quality",
     "patient_comparison/comparison_run.py": "compare_with_patients",

@@ -1,11 +1,14 @@
 """Command that makes data sets of labelled images: dataset, dataset verify."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .shared_options import Engine, GradeTable, Processes, Scheduler, Seed
+
+if TYPE_CHECKING:
+    from ..dataset import DatasetSettings
 
 dataset_app = typer.Typer(pretty_exceptions_enable=False, rich_markup_mode=None)
 
@@ -91,8 +94,8 @@ def dataset(
         return
     from ..core.checks import InputError, require_workers
     from ..core.processes.execution import Execution
-    from ..core.progress_display import show_progress_bar, show_status
-    from ..dataset import DatasetSettings, estimate_cost, make_dataset
+    from ..core.progress_display import show_progress_bar
+    from ..dataset import DatasetSettings, make_dataset
 
     require_workers(workers, "processes")
     settings = DatasetSettings(
@@ -117,13 +120,7 @@ def dataset(
         engine=engine,
     )
     if dry_run:
-        with show_status("simulating a few images"):
-            cost = estimate_cost(settings)
-        print(f"images    {cost.images:,} in {cost.files:,} files")
-        print(f"disk      {cost.disk_mb / 1000:,.1f} GB")
-        hours = cost.cpu_seconds / 3600
-        print(f"CPU time  {hours:,.1f} h; run time with {workers} workers on as many cores {hours / workers:,.1f} h")
-        print(f"estimated from {cost.measured_images} images on this machine")
+        _print_estimate(settings, workers)
         return
     if out is None:
         raise InputError("out must be a folder for the data set, got out = none: add --out FOLDER")
@@ -151,6 +148,20 @@ def verify(folder: Annotated[Path, typer.Argument(help="Folder of a data set wri
     if faults:
         raise typer.Exit(2)
     print(f"intact    {images} images, all unchanged")
+
+
+def _print_estimate(settings: "DatasetSettings", workers: int) -> None:
+    """Simulate a few images, and print how much time and disk space the data set needs."""
+    from ..core.progress_display import show_status
+    from ..dataset import estimate_cost
+
+    with show_status("simulating a few images"):
+        cost = estimate_cost(settings)
+    hours = cost.cpu_seconds / 3600
+    print(f"images    {cost.images:,} in {cost.files:,} files")
+    print(f"disk      {cost.disk_mb / 1000:,.1f} GB")
+    print(f"CPU time  {hours:,.1f} h; run time with {workers} workers on as many cores {hours / workers:,.1f} h")
+    print(f"estimated from {cost.measured_images} images on this machine")
 
 
 def _split(text: str) -> tuple[str, ...]:

@@ -1,13 +1,13 @@
 """Write the files that describe a complete data set: index, COCO files and legend."""
 
-import csv
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
-from ..io.atomic_write import replace_file
+from ..data.user_files import read_json
 from ..io.dataset_files import read_part
+from ..io.dataset_index_files import write_coco_file, write_index_table
 from .dataset_plan import count_parts
 from .dataset_settings import SPLITS, DatasetSettings
 from .dataset_tables import DatasetTables
@@ -41,11 +41,7 @@ def write_index(settings: DatasetSettings, tables: DatasetTables, folder: Path) 
     # The columns are collected first, because images of different views have different landmarks.
     columns = list(dict.fromkeys(name for row in iterate_rows(settings, folder) for name in flatten_row(row)))
     path = folder / "index.csv"
-    with replace_file(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as handle:
-        writer = csv.DictWriter(handle, columns, lineterminator="\n")
-        writer.writeheader()
-        for row in iterate_rows(settings, folder):
-            writer.writerow(flatten_row(row))
+    write_index_table(path, columns, (flatten_row(row) for row in iterate_rows(settings, folder)))
     if settings.layout == "folder":
         for split in SPLITS:
             _write_coco(settings, tables, folder, split)
@@ -103,28 +99,26 @@ def flatten_row(row: Mapping[str, Any], prefix: str = "") -> Row:
 def _write_coco(settings: DatasetSettings, tables: DatasetTables, folder: Path, split: str) -> None:
     """Write the COCO file of a subset image by image."""
     rows = _iterate_split(settings, folder, split)
-    rows = _iterate_split(settings, folder, split)
     keypoints = list(dict.fromkeys(name for row in rows for name in row["landmarks_px"]))
     if not keypoints:
         return
     kind, suffix = ("display", "png") if "display" in settings.kinds else ("linear", "tif")
-    info = {"description": "Knee radiographs simulated by pssf; labels are true by construction."}
-    categories = make_categories(tables.definitions.label_map, keypoints)
-    with replace_file(folder / f"coco_{split}.json") as temporary, open(temporary, "w", encoding="utf-8") as handle:
-        handle.write(f'{{"info": {json.dumps(info)},\n"categories": {json.dumps(categories)},\n"images": [\n')
-        images = (
-            {
-                "id": image_id,
-                "file_name": f"{split}/{kind}/{row['name']}.{suffix}",
-                "height": row["rows"],
-                "width": row["cols"],
-            }
-            for image_id, row in enumerate(_iterate_split(settings, folder, split), start=1)
-        )
-        _write_entries(handle, images)
-        handle.write('],\n"annotations": [\n')
-        _write_entries(handle, _iterate_annotations(settings, folder, split, keypoints))
-        handle.write("]}\n")
+    images = (
+        {
+            "id": image_id,
+            "file_name": f"{split}/{kind}/{row['name']}.{suffix}",
+            "height": row["rows"],
+            "width": row["cols"],
+        }
+        for image_id, row in enumerate(_iterate_split(settings, folder, split), start=1)
+    )
+    write_coco_file(
+        folder / f"coco_{split}.json",
+        info={"description": "Knee radiographs simulated by pssf; labels are true by construction."},
+        categories=make_categories(tables.definitions.label_map, keypoints),
+        images=images,
+        annotations=_iterate_annotations(settings, folder, split, keypoints),
+    )
 
 
 def _iterate_split(settings: DatasetSettings, folder: Path, split: str) -> Iterator[Row]:
@@ -136,14 +130,7 @@ def _iterate_annotations(settings: DatasetSettings, folder: Path, split: str, ke
     """Yield the COCO annotations of a subset with their numbers."""
     number = 1
     for image_id, row in enumerate(_iterate_split(settings, folder, split), start=1):
-        entry = json.loads((folder / split / "labels" / f"{row['name']}.json").read_bytes())
+        entry: Row = read_json(folder / split / "labels" / f"{row['name']}.json", dict[str, Any])
         for annotation in make_annotations(entry, keypoints, image_id, number):
             yield annotation
             number += 1
-
-
-def _write_entries(handle: TextIO, entries: Iterator[Row]) -> None:
-    """Write the entries of a JSON list, one per line."""
-    for number, entry in enumerate(entries):
-        handle.write((",\n" if number else "") + json.dumps(entry))
-    handle.write("\n")

@@ -1,0 +1,75 @@
+"""Files that list the images of a data set, written entry by entry: index and COCO files."""
+
+import csv
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+from .atomic_write import replace_file
+
+
+def write_index_table(path: Path, columns: list[str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write rows as CSV without holding all of them in memory.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    columns : list of str
+        All columns.
+    rows : iterable of mapping of str to object
+        Values keyed by column; a missing value gives an empty cell.
+
+    Raises
+    ------
+    InputError
+        The disk is full, or the file cannot be written.
+    """
+    with replace_file(path) as temporary, open(temporary, "w", encoding="utf-8", newline="") as handle:
+        writer = csv.DictWriter(handle, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+
+
+def write_coco_file(
+    path: Path,
+    *,
+    info: Mapping[str, Any],
+    categories: list[dict[str, Any]],
+    images: Iterable[Mapping[str, Any]],
+    annotations: Iterable[Mapping[str, Any]],
+) -> None:
+    """Write a COCO file without holding all of its entries in memory.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    info : mapping of str to object
+        Description of the data set.
+    categories : list of dict
+        Categories with the names of their keypoints.
+    images : iterable of mapping of str to object
+        Entries of the images.
+    annotations : iterable of mapping of str to object
+        Entries of the annotations.
+
+    Raises
+    ------
+    InputError
+        The disk is full, or the file cannot be written.
+    """
+    with replace_file(path) as temporary, open(temporary, "w", encoding="utf-8") as handle:
+        handle.write(f'{{"info": {json.dumps(info)},\n"categories": {json.dumps(categories)},\n"images": [\n')
+        _write_entries(handle, images)
+        handle.write('],\n"annotations": [\n')
+        _write_entries(handle, annotations)
+        handle.write("]}\n")
+
+
+def _write_entries(handle: TextIO, entries: Iterable[Mapping[str, Any]]) -> None:
+    """Write the entries of a JSON list, one per line."""
+    for number, entry in enumerate(entries):
+        handle.write((",\n" if number else "") + json.dumps(entry))
+    handle.write("\n")
