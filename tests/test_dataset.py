@@ -18,9 +18,9 @@ from pssf.dataset import (
     count_parts,
     load_dataset_tables,
     make_dataset,
-    make_randomised_sample,
+    make_person_samples,
     make_sample,
-    plan_part,
+    plan_person,
     randomise,
     verify_dataset,
 )
@@ -31,12 +31,17 @@ from pssf.dataset.label_map import add_joint_space_masks, draw_label_map
 SMALL = {"matrix": 96, "seed": 5}
 
 
+def plan(settings, tables, people):
+    """Plan the images of people."""
+    return [image for person in people for image in plan_person(settings, tables, person, "train")]
+
+
 @pytest.fixture(scope="module")
 def sample_of_knee():
     """Plan and sample of one small image with settings and tables."""
     settings = DatasetSettings(images=4, **SMALL)
     tables = load_dataset_tables(settings)
-    planned = plan_part(settings, tables, 0)[0]
+    planned = plan(settings, tables, [0])[0]
     return planned, make_sample(planned, settings, tables), settings, tables
 
 
@@ -56,7 +61,7 @@ def test_parts_cover_every_person_once_without_mixing_subsets(changes):
 def test_a_balanced_plan_has_the_same_number_of_people_of_each_grade_and_names_tell_nothing():
     settings = DatasetSettings(images=40, knees_per_person=2, split=(1.0, 0.0, 0.0))
     tables = load_dataset_tables(settings)
-    planned = [image for index in range(count_parts(settings)) for image in plan_part(settings, tables, index)]
+    planned = plan(settings, tables, range(settings.person_count))
     grades = [image.knee.grade for image in planned]
     assert [grades.count(grade) for grade in range(5)] == [8] * 5
     assert len({image.name for image in planned}) == 40
@@ -72,7 +77,7 @@ def test_a_balanced_plan_has_the_same_number_of_people_of_each_grade_and_names_t
 def test_prevalence_gives_grades_the_frequencies_of_the_osteoarthritis_initiative():
     settings = DatasetSettings(images=1000, grades="prevalence", split=(1.0, 0.0, 0.0))
     tables = load_dataset_tables(settings)
-    planned = [image for index in range(40) for image in plan_part(settings, tables, index)]
+    planned = plan(settings, tables, range(160))
     counts = np.bincount([image.knee.grade for image in planned], minlength=5)
     share = np.array(tables.definitions.grades.prevalence) / 8260
     spread = np.sqrt(share * (1 - share) / len(planned))
@@ -84,7 +89,7 @@ def test_pairs_differ_only_in_what_their_change_says():
         names = ("fixed_flexion", "reference")[:protocols]
         settings = DatasetSettings(images=20, pairs=pairs, protocols=names, seed=3)
         tables = load_dataset_tables(settings)
-        planned = plan_part(settings, tables, 0)
+        planned = plan(settings, tables, range(4))
         for first, second in zip(planned[::2], planned[1::2], strict=True):
             assert (first.pair, first.role, second.role) == (second.pair, "first", "second")
             assert first.person == second.person
@@ -214,7 +219,7 @@ def test_a_data_set_has_the_same_bytes_for_any_workers_and_after_an_interruption
     assert verify_dataset(tmp_path / "two")[1] == [f"train/linear/{damaged.name}: changed"]
     with pytest.raises(pssf.InputError, match=r"must be unchanged, got other content; delete .*part-000000\.json"):
         make_dataset(settings, tmp_path / "two", workers=1)
-    with pytest.raises(pssf.InputError, match=r"contains a different cohort \(settings\.seed = 5, requested 6\)"):
+    with pytest.raises(pssf.InputError, match=r"contains a different dataset \(settings\.seed = 5, requested 6\)"):
         make_dataset(dataclasses.replace(settings, seed=6), tmp_path / "one", workers=1)
 
 
@@ -255,12 +260,35 @@ def test_shards_hold_all_files_of_an_image_under_one_key(tmp_path):
 
 
 def test_a_repeat_of_the_randomisation_changes_only_the_transforms(sample_of_knee):
-    planned, sample, settings, tables = sample_of_knee
+    _, sample, settings, tables = sample_of_knee
     strong = dataclasses.replace(settings, randomise=("gamma", "noise"))
-    first, second = (make_randomised_sample(planned, strong, tables, repeat=repeat) for repeat in (0, 1))
+    first, second = (make_person_samples(strong, tables, 0, "train", repeat=repeat)[0] for repeat in (0, 1))
     assert (first.linear == second.linear).all()
     assert (first.linear == sample.linear).all()
     assert (first.display != second.display).any()
+
+
+def test_a_person_whose_knee_cannot_be_built_is_sampled_again_with_the_same_grade(monkeypatch, sample_of_knee):
+    _, sample, settings, tables = sample_of_knee
+    asked = []
+
+    def refuse_twice(planned, settings, tables):
+        asked.append(planned)
+        if len(asked) < 3:
+            raise pssf.InputError("knee must be possible, got another")
+        return make_sample(planned, settings, tables)
+
+    monkeypatch.setattr("pssf.dataset.person_samples.make_sample", refuse_twice)
+    (made,) = make_person_samples(settings, tables, 0, "train")
+    assert (made.labels["attempt"], made.labels["kl"]) == (2, sample.labels["kl"])
+    assert len({planned.knee for planned in asked}) == len({planned.name for planned in asked}) == 3
+    (again,) = make_person_samples(settings, tables, 0, "train")
+    assert again.labels == {**sample.labels, "attempt": 0}
+    monkeypatch.setattr(
+        "pssf.dataset.person_samples.make_sample", lambda *_: (_ for _ in ()).throw(pssf.InputError("no"))
+    )
+    with pytest.raises(pssf.InputError, match="no"):
+        make_person_samples(settings, tables, 0, "train")
 
 
 @pytest.mark.parametrize(

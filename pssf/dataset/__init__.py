@@ -1,16 +1,16 @@
 """Make data sets of labelled images for networks: planning, simulation, crops, randomisation and label maps.
 
-DatasetSettings -> plan_part -> make_sample -> randomise -> files of `make_dataset`, or a stream of samples.
+DatasetSettings -> plan_person -> make_sample -> randomise -> files of `make_dataset`, or a stream of samples.
 """
 
 from .cost_estimate import CostEstimate, estimate_cost
 from .dataset_maker import make_dataset
-from .dataset_plan import PlannedImage, count_parts, plan_part
+from .dataset_plan import PlannedImage, count_parts, plan_person
 from .dataset_settings import DatasetSettings
 from .dataset_tables import DatasetTables, load_dataset_tables
 from .dataset_verification import verify_dataset
+from .person_samples import make_person_samples
 from .randomisation import RECIPES, TRANSFORMS, randomise
-from .randomised_sample import make_randomised_sample
 from .sample import Sample, make_sample
 
 __all__ = [
@@ -25,9 +25,9 @@ __all__ = [
     "estimate_cost",
     "load_dataset_tables",
     "make_dataset",
-    "make_randomised_sample",
+    "make_person_samples",
     "make_sample",
-    "plan_part",
+    "plan_person",
     "randomise",
     "verify_dataset",
 ]

@@ -3,10 +3,10 @@
 import time
 from dataclasses import dataclass
 
-from .dataset_plan import count_parts, plan_person
+from .dataset_plan import count_parts
 from .dataset_settings import DatasetSettings
 from .dataset_tables import load_dataset_tables
-from .randomised_sample import make_randomised_sample
+from .person_samples import make_person_samples
 from .sample_files import encode_sample
 
 # Number of people that are simulated to measure the cost, besides one that is not measured.
@@ -64,17 +64,13 @@ def estimate_cost(settings: DatasetSettings) -> CostEstimate:
     tables, sizes, seconds, made = load_dataset_tables(settings), list[int](), 0.0, 0
     for person in range(min(settings.person_count, _MEASURED_PEOPLE) + 1):
         before = time.process_time()
-        planned = plan_person(settings, tables, max(person - 1, 0), "train")
-        files = [
-            file
-            for image in planned
-            for file in encode_sample(make_randomised_sample(image, settings, tables), settings, tables)
-        ]
+        samples = make_person_samples(settings, tables, max(person - 1, 0), "train")
+        files = [file for sample in samples for file in encode_sample(sample, settings, tables)]
         # The first person is simulated twice, because the first simulation of a process also loads code and tables.
         if person:
             seconds += time.process_time() - before
             sizes += [len(content) for _, content in files]
-            made += len(planned)
+            made += len(samples)
     images = settings.person_count * settings.images_per_person
     parts = count_parts(settings)
     files_made = 2 * parts if settings.layout == "shards" else len(sizes) * images // made + parts

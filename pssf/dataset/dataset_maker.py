@@ -15,10 +15,10 @@ from ..io.cohort_records import claim_folder
 from ..model.protocol import protocol_to_dict
 from ..simulation import collect_versions
 from .dataset_index import write_index
-from .dataset_plan import count_parts, find_part, plan_part
+from .dataset_plan import count_parts, find_part
 from .dataset_settings import DatasetSettings
 from .dataset_tables import DatasetTables, load_dataset_tables
-from .randomised_sample import make_randomised_sample
+from .person_samples import make_person_samples
 from .sample_files import collect_labels, encode_sample
 
 # Subpackages and modules that affect the files of a data set; dataset.json stores their hashes.
@@ -134,10 +134,10 @@ def make_part(index: int, settings: DatasetSettings, tables: DatasetTables, site
 
     def make_files() -> Iterator[tuple[str, bytes]]:
         """Yield the files of all images of the part, and collect the rows of the index."""
-        for planned in plan_part(settings, tables, index):
-            sample = make_randomised_sample(planned, settings, tables)
-            rows.append(collect_labels(sample))
-            yield from encode_sample(sample, settings, tables)
+        for person in range(part.first, part.first + part.count):
+            for sample in make_person_samples(settings, tables, person, part.split):
+                rows.append(collect_labels(sample))
+                yield from encode_sample(sample, settings, tables)
 
     if settings.layout == "shards":
         name = f"{part.split}/{part.split}-{part.split_index:06d}.tar"

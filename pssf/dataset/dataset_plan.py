@@ -16,7 +16,7 @@ from .dataset_settings import SPLITS, DatasetSettings
 from .dataset_tables import DatasetTables
 
 # The following keys separate the random streams of a data set. A stream is identified by the key and a number.
-_GRADES, _BODY, _KNEE, _ACQUISITION, _NOISE, _PAIR = range(6)
+_GRADES, _BODY, _KNEE, _ACQUISITION, _NOISE, _PAIR, _ATTEMPT = range(7)
 # Number of people of a part if images are written as single files.
 _PEOPLE_PER_PART = 4
 # Time between the two visits of a pair, in years.
@@ -134,29 +134,9 @@ def find_part(settings: DatasetSettings, index: int) -> Part:
     raise IndexError(f"part must be an index below {before}, got {index}")
 
 
-def plan_part(settings: DatasetSettings, tables: DatasetTables, index: int) -> list[PlannedImage]:
-    """Sample the people of a part, their knees and their acquisitions.
-
-    Parameters
-    ----------
-    settings : DatasetSettings
-        Settings of the data set.
-    tables : DatasetTables
-        Result of `load_dataset_tables`.
-    index : int
-        Index of the part.
-
-    Returns
-    -------
-    list of PlannedImage
-        Images of the part, in the order of the people.
-    """
-    part = find_part(settings, index)
-    people = range(part.first, part.first + part.count)
-    return [planned for person in people for planned in plan_person(settings, tables, person, part.split)]
-
-
-def plan_person(settings: DatasetSettings, tables: DatasetTables, person: int, split: str) -> list[PlannedImage]:
+def plan_person(
+    settings: DatasetSettings, tables: DatasetTables, person: int, split: str, *, attempt: int = 0
+) -> list[PlannedImage]:
     """Sample the knees of one person and their acquisitions.
 
     Parameters
@@ -169,6 +149,8 @@ def plan_person(settings: DatasetSettings, tables: DatasetTables, person: int, s
         Number of the person.
     split : str
         Subset to which the person belongs.
+    attempt : int
+        Number of earlier plans of this person whose knees could not be built. The grade is the same in every attempt.
 
     Returns
     -------
@@ -177,10 +159,12 @@ def plan_person(settings: DatasetSettings, tables: DatasetTables, person: int, s
 
     Notes
     -----
-    The images of a person depend only on the seed and the number of the person. Both knees of a person share the
-    properties of the body (`sample_knee_pair`).
+    The images of a person depend only on the seed, the number of the person and the attempt. Both knees of a person
+    share the properties of the body (`sample_knee_pair`).
     """
     grade = _sample_grade(settings, tables, person)
+    if attempt:
+        settings = replace(settings, seed=int(_stream(settings.seed, attempt, _ATTEMPT).integers(2**63)))
     shared = sample_shared_fields(tables.distributions, grade=grade, rng=_stream(settings.seed, person, _BODY))
     rng = _stream(settings.seed, person, _KNEE)
     sides = ("right", "left") if settings.knees_per_person == 2 else (("right", "left")[int(rng.integers(2))],)

@@ -196,11 +196,11 @@ def claim_folder(path: Path, cohort_content: dict[str, Any]) -> str:
     if was != wanted:
         place, old, new = _find_difference(was, wanted)
         what = f"{place} = {old!r}, requested {new!r}"
-        raise InputError(f"folder {path.parent} contains a different cohort ({what}); use a new folder")
+        raise InputError(f"folder {path.parent} contains a different {path.stem} ({what}); use a new folder")
     parts = format_differing_parts(claimed.get("code", {}), cohort_content.get("code", {}))
     if parts:
         raise InputError(
-            f"folder {path.parent} contains a cohort from a different version of the code, with differences in "
+            f"folder {path.parent} contains a {path.stem} from a different version of the code, with differences in "
             f"{parts}; use the earlier version, or a new folder"
         )
     return hash_file(path)
