@@ -15,6 +15,7 @@ simulation  knee, protocol       -> radiograph
 io          reading and writing of files; no other subpackage writes files
 cohort      preset, seed         -> radiographs and their manifest
 dataset     settings             -> labelled images for the training of networks
+torch       data sets of PyTorch                                     (extra "torch")
 radiomics   radiograph           -> region and features              (extra "study")
 study       features             -> models, statistics, report       (extra "study")
 standard_templates  radiographs of reference knees, with which joints are localised  (extra "study")

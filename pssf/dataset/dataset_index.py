@@ -5,8 +5,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from ..data.user_files import read_json
-from ..io.dataset_files import read_part
+from ..io.dataset_files import read_part, read_sample_labels
 from ..io.dataset_index_files import write_coco_file, write_index_table
 from .dataset_plan import count_parts
 from .dataset_settings import SPLITS, DatasetSettings
@@ -130,7 +129,7 @@ def _iterate_annotations(settings: DatasetSettings, folder: Path, split: str, ke
     """Yield the COCO annotations of a subset with their numbers."""
     number = 1
     for image_id, row in enumerate(_iterate_split(settings, folder, split), start=1):
-        entry: Row = read_json(folder / split / "labels" / f"{row['name']}.json", dict[str, Any])
+        entry = read_sample_labels(folder, split, row["name"])
         for annotation in make_annotations(entry, keypoints, image_id, number):
             yield annotation
             number += 1

@@ -8,7 +8,7 @@ from ..data.user_files import read_json
 from ..io.cohort_records import hash_file
 from ..io.dataset_files import SETTINGS_FILE, list_faults, read_part
 from .dataset_plan import count_parts
-from .dataset_settings import read_settings
+from .dataset_settings import DatasetSettings, read_settings
 
 
 def verify_dataset(folder: str | Path) -> tuple[int, list[str]]:
@@ -32,10 +32,7 @@ def verify_dataset(folder: str | Path) -> tuple[int, list[str]]:
         If the folder contains no data set, or a record is damaged.
     """
     folder = Path(folder)
-    if not (folder / SETTINGS_FILE).exists():
-        raise InputError(f"folder must contain a data set made by pssf dataset, got {folder} without {SETTINGS_FILE}")
-    specified: dict[str, Any] = read_json(folder / SETTINGS_FILE, dict[str, Any])
-    settings = read_settings(specified.get("settings"), folder / SETTINGS_FILE)
+    settings = read_dataset_settings(folder)
     claim = hash_file(folder / SETTINGS_FILE)
     images, faults = 0, list[str]()
     for index in range(count_parts(settings)):
@@ -48,3 +45,27 @@ def verify_dataset(folder: str | Path) -> tuple[int, list[str]]:
     if not (folder / "index.csv").exists():
         faults.append("index.csv: missing")
     return images, faults
+
+
+def read_dataset_settings(folder: Path) -> DatasetSettings:
+    """Read the settings of a data set from its folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the data set.
+
+    Returns
+    -------
+    DatasetSettings
+        Settings.
+
+    Raises
+    ------
+    InputError
+        If the folder contains no data set, or the file is damaged.
+    """
+    if not (folder / SETTINGS_FILE).exists():
+        raise InputError(f"folder must contain a data set made by pssf dataset, got {folder} without {SETTINGS_FILE}")
+    specified: dict[str, Any] = read_json(folder / SETTINGS_FILE, dict[str, Any])
+    return read_settings(specified.get("settings"), folder / SETTINGS_FILE)

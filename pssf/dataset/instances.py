@@ -59,6 +59,23 @@ def encode_run_lengths(mask: NDArray[np.bool_]) -> dict[str, Any]:
     return {"size": list(mask.shape), "counts": counts if counts[-1] else counts[:-1]}
 
 
+def decode_run_lengths(coded: Mapping[str, Any]) -> NDArray[np.bool_]:
+    """Decode uncompressed run lengths.
+
+    Parameters
+    ----------
+    coded : mapping of str to list of int
+        Result of `encode_run_lengths`.
+
+    Returns
+    -------
+    (rows, cols) bool array
+        Mask.
+    """
+    values = np.repeat(np.arange(len(coded["counts"])) % 2 == 1, coded["counts"])
+    return values.reshape(coded["size"], order="F")
+
+
 def make_categories(kinds: Mapping[str, int], keypoints: Sequence[str]) -> list[dict[str, Any]]:
     """Make the categories of a COCO file: the kinds of parts, and the knee with its keypoints.
 

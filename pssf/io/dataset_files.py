@@ -4,6 +4,7 @@ import hashlib
 import io
 import tarfile
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from PIL import Image
 
 from ..core.checks import InputError
 from ..data.table_records import Record
-from ..data.user_files import read_json
+from ..data.user_files import convert_os_errors, read_json
 from .atomic_write import replace_file, write_bytes
 from .cohort_records import hash_file
 
@@ -117,6 +118,103 @@ def encode_png(image: NDArray[np.uint8]) -> bytes:
     buffer = io.BytesIO()
     Image.fromarray(image).save(buffer, format="PNG", compress_level=4)
     return buffer.getvalue()
+
+
+def read_pixels(folder: Path, split: str, kind: str, name: str) -> NDArray[Any]:
+    """Read an image or a label map of a data set.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the data set.
+    split : str
+        Subset.
+    kind : {"linear", "display", "label_map"}
+        Kind of image.
+    name : str
+        Name of the image.
+
+    Returns
+    -------
+    (rows, cols) uint8 or uint16 array
+        Pixel values.
+
+    Raises
+    ------
+    InputError
+        The file is missing or damaged.
+    """
+    path = folder / split / kind / f"{name}.{'tif' if kind == 'linear' else 'png'}"
+    with _convert_read_errors(path):
+        if kind == "linear":
+            return np.asarray(tifffile.imread(path))
+        with Image.open(path) as image:
+            return np.asarray(image)
+
+
+def read_maps(folder: Path, split: str, name: str) -> dict[str, NDArray[np.float32]]:
+    """Read the path length maps of an image.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the data set.
+    split : str
+        Subset.
+    name : str
+        Name of the image.
+
+    Returns
+    -------
+    dict of str to (rows, cols) float32 array
+        Path lengths keyed by material, in mm.
+
+    Raises
+    ------
+    InputError
+        The file is missing or damaged.
+    """
+    path = folder / split / "maps" / f"{name}.tif"
+    with _convert_read_errors(path), tifffile.TiffFile(path) as tiff:
+        return {page.tags["PageName"].value: page.asarray() for page in tiff.pages}  # type: ignore[union-attr]
+
+
+def read_sample_labels(folder: Path, split: str, name: str) -> dict[str, Any]:
+    """Read all labels of an image.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the data set.
+    split : str
+        Subset.
+    name : str
+        Name of the image.
+
+    Returns
+    -------
+    dict of str to object
+        Labels.
+
+    Raises
+    ------
+    InputError
+        The file is missing or damaged.
+    """
+    labels: dict[str, Any] = read_json(folder / split / "labels" / f"{name}.json", dict[str, Any])
+    return labels
+
+
+@contextmanager
+def _convert_read_errors(path: Path) -> Iterator[None]:
+    """Raise InputError if a file of a data set is missing or damaged."""
+    try:
+        with convert_os_errors(path, "a file of the data set"):
+            yield
+    except InputError:
+        raise
+    except Exception as error:  # Reading a damaged file can raise any exception.
+        raise InputError(f"file {path} must be an intact image of the data set, got a damaged file ({error})") from None
 
 
 def write_files(folder: Path, entries: Iterable[tuple[str, bytes]]) -> dict[str, str]:

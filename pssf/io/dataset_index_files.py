@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TextIO
 
+from ..data.user_files import convert_os_errors
 from .atomic_write import replace_file
 
 
@@ -30,6 +31,31 @@ def write_index_table(path: Path, columns: list[str], rows: Iterable[Mapping[str
         writer = csv.DictWriter(handle, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
+
+
+def read_index_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
+    """Read the index of a data set.
+
+    Parameters
+    ----------
+    path : Path
+        File index.csv.
+
+    Returns
+    -------
+    columns : list of str
+        Names of the columns.
+    rows : list of dict
+        Text of each cell, keyed by column.
+
+    Raises
+    ------
+    InputError
+        The file is missing, which means that the data set is not complete, or cannot be read.
+    """
+    with convert_os_errors(path, "the index of a complete data set"), open(path, encoding="utf-8", newline="") as file:
+        reader = csv.DictReader(file)
+        return list(reader.fieldnames or ()), list(reader)
 
 
 def write_coco_file(
