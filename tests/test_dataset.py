@@ -1,8 +1,10 @@
 """Data sets of labelled images: plans, files, label maps, randomisation and resumption."""
 
+import csv
 import dataclasses
 import json
 import tarfile
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -25,7 +27,8 @@ from pssf.dataset import (
     verify_dataset,
 )
 from pssf.dataset.dataset_plan import find_part
-from pssf.dataset.instances import encode_run_lengths
+from pssf.dataset.dataset_summary import summarise_index
+from pssf.dataset.instances import decode_run_lengths, encode_run_lengths
 from pssf.dataset.label_map import add_joint_space_masks, draw_label_map
 
 SMALL = {"matrix": 96, "seed": 5}
@@ -186,12 +189,40 @@ def test_affine_landmarks_stay_on_their_anatomy(sample_of_knee):
             assert moved.pixel_mm != sample.pixel_mm
 
 
+def test_sampled_equipment_varies_and_keeps_a_view_without_grid():
+    settings = DatasetSettings(images=40, equipment="sampled", protocols=("fixed_flexion", "reference"))
+    tables = load_dataset_tables(settings)
+    values = tables.definitions.equipment
+    planned = plan(settings, tables, range(40))
+    for name in ("focal_spot_mm", "filtration_mm_al", "grid_ratio", "grid_lines_per_cm"):
+        of_stand = {getattr(image.protocol, name) for image in planned if image.protocol.name == "fixed_flexion"}
+        assert 1 < len(of_stand) <= len(getattr(values, name))
+        assert of_stand <= set(getattr(values, name))
+    assert {image.protocol.grid_ratio for image in planned if image.protocol.name == "reference"} == {0.0}
+
+
+def test_an_index_is_summarised_in_one_pass():
+    rows = [
+        {"split": "train", "kl": 1, "person": "a", "x": None, "y": 1, "z": True},
+        {"split": "train", "kl": 1, "person": "a", "x": 2, "y": 1.5, "z": "no"},
+        {"split": "test", "kl": 0, "person": "b", "w": None, "x": None},
+    ]
+    summary = summarise_index(rows)
+    kinds = {"split": "text", "kl": "integer", "person": "text", "x": "integer", "y": "decimal", "z": "text"}
+    assert summary.columns == {**kinds, "w": "text"}
+    assert (summary.people, summary.images, summary.counts["train", 1]) == (2, 3, 2)
+
+
 def test_run_lengths_reproduce_a_mask():
     rng = np.random.default_rng(1)
     for mask in (rng.random((7, 5)) < 0.5, np.ones((3, 2), bool), np.zeros((3, 2), bool)):
         coded = encode_run_lengths(mask)
-        values = np.repeat(np.arange(len(coded["counts"])) % 2, coded["counts"])
-        assert (values.reshape(mask.shape, order="F") == mask).all()
+        assert sum(coded["counts"]) == mask.size
+        assert (decode_run_lengths(coded) == mask).all()
+        if find_spec("pycocotools"):
+            from pycocotools import mask as coco_mask
+
+            assert (coco_mask.decode(coco_mask.frPyObjects(coded, *mask.shape)) == mask).all()
 
 
 def _read_files(folder):
@@ -243,6 +274,35 @@ def _require_readable(folder, settings):
         assert {part["name"] for part in parts} == {part["name"] for part in labels["instances"]}
     header = (folder / "index.csv").read_text().splitlines()
     assert len(header) == 9
+
+
+def test_parquet_and_croissant_describe_the_index(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow (`parquet` extra) is not installed")
+    settings = DatasetSettings(images=3, pairs="visit", parquet=True, split=(0.5, 0.5, 0.0), **SMALL)
+    index = make_dataset(settings, tmp_path, workers=1)
+    with index.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    table = parquet.read_table(tmp_path / "index.parquet")
+    assert table.column_names == list(rows[0])
+    for row, typed in zip(rows, table.to_pylist(), strict=True):
+        for name, value in typed.items():
+            if isinstance(value, float):
+                assert float(row[name]) == value
+            else:
+                assert row[name] == ("" if value is None else str(value))
+    sheet = (tmp_path / "datasheet.md").read_text()
+    assert "4 simulated knee radiographs of 2 people" in sheet
+    assert "{" not in sheet
+    croissant = json.loads((tmp_path / "croissant.json").read_text())
+    fields = croissant["recordSet"][0]["field"]
+    assert [one["name"].removeprefix("index/") for one in fields] == table.column_names
+    mlcroissant = pytest.importorskip("mlcroissant", reason="mlcroissant is not installed")
+    read = mlcroissant.Dataset(jsonld=tmp_path / "croissant.json")
+    assert not read.metadata.ctx.issues.errors
+    records = list(read.records("index"))
+    assert [record["index/kl"] for record in records] == [int(row["kl"]) for row in rows]
+    images = list(read.records("display_by_name"))
+    assert {image["display_by_name/name"].decode() for image in images} == {f"{row['name']}.png" for row in rows}
 
 
 def test_shards_hold_all_files_of_an_image_under_one_key(tmp_path):

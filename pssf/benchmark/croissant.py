@@ -1,14 +1,12 @@
-"""Croissant 1.0 metadata of the data set, a JSON-LD format of MLCommons (mlcommons.org/croissant/1.0)."""
+"""Croissant 1.0 metadata of the data set."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..data.analysis.benchmark_table import BenchmarkDefinition
+from ..io import croissant_elements
+from ..io.croissant_elements import CONFORMS_TO, SPLIT_URLS
 
-# Standard to which the metadata conforms.
-CONFORMS_TO = "http://mlcommons.org/croissant/1.0"
-# Identifier in the Croissant vocabulary for each subset of a split.
-_SPLIT_URLS = {"training": "cr:TrainingSplit", "validation": "cr:ValidationSplit", "test": "cr:TestSplit"}
 # Data type and description of each column of manifest.csv.
 _RADIOGRAPH_COLUMNS = {
     "radiograph": ("sc:Text", "Name of the radiograph."),
@@ -61,7 +59,7 @@ def build_croissant_metadata(
     """
     known = {name: what for name, what in _RADIOGRAPH_COLUMNS.items() if name in columns}
     return {
-        "@context": _build_context(),
+        "@context": croissant_elements.build_context(),
         "@type": "sc:Dataset",
         "conformsTo": CONFORMS_TO,
         "name": frozen.preset,
@@ -75,7 +73,10 @@ def build_croissant_metadata(
         "citeAs": f"@misc{{{frozen.preset}, title = {{{frozen.title}}}, author = {{{{{frozen.creator}}}}}, "
         f"year = {{{frozen.date[:4]}}}, version = {{{frozen.version}}}}}",
         "isLiveDataset": False,
-        "distribution": [*(_describe_file(name, *about) for name, about in files.items()), _describe_image_set()],
+        "distribution": [
+            *(croissant_elements.describe_file(name, *about) for name, about in files.items()),
+            _describe_image_set(),
+        ],
         "recordSet": [
             _describe_table(
                 "radiographs", "manifest.csv", known, "One record per radiograph.", [_describe_image_name_field()]
@@ -86,23 +87,16 @@ def build_croissant_metadata(
                 _SPLIT_COLUMNS,
                 "Fixed splits by subject; both knees of a subject are in the same subset.",
             ),
-            _describe_split_parts(),
-            _describe_image_records(),
+            croissant_elements.describe_split_parts(SPLIT_URLS),
+            croissant_elements.describe_images("images", "Pixels of the radiograph."),
         ],
     }
-
-
-def _describe_file(name: str, sha256: str, size: int) -> dict[str, Any]:
-    """Describe one CSV file."""
-    about = {"contentUrl": name, "contentSize": f"{size} B", "encodingFormat": "text/csv", "sha256": sha256}
-    return {"@type": "cr:FileObject", "@id": name, "name": name, **about}
 
 
 def _describe_image_set() -> dict[str, Any]:
     """Describe the set of images."""
     what = "16-bit TIFF images, linear in the absorbed energy, with row 0 proximal; manifest.csv lists their hashes."
-    where = {"encodingFormat": "image/tiff", "includes": "images/*.tif"}
-    return {"@type": "cr:FileSet", "@id": "images", "name": "images", "description": what, **where}
+    return croissant_elements.describe_file_set("images", "image/tiff", "images/*.tif", what)
 
 
 def _describe_table(
@@ -115,8 +109,7 @@ def _describe_table(
     """Describe a CSV table with its columns and additional fields."""
     fields = []
     for column, (kind, what) in columns.items():
-        source = {"fileObject": {"@id": file}, "extract": {"column": column}}
-        fields.append(_describe_field(f"{name}/{column}", kind, what, source))
+        fields.append(croissant_elements.describe_column(name, file, column, kind, what))
         if column == "part":
             fields[-1]["references"] = {"field": {"@id": "parts/name"}}
     held = {"@type": "cr:RecordSet", "@id": name, "name": name, "description": description}
@@ -127,12 +120,6 @@ def _describe_table(
     )
 
 
-def _describe_field(identity: str, kind: str, description: str, source: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Describe one field of a record set."""
-    about = {"@type": "cr:Field", "@id": identity, "name": identity, "description": description, "dataType": kind}
-    return about if source is None else about | {"source": source}
-
-
 def _describe_image_name_field() -> dict[str, Any]:
     """Describe the field that links a radiograph to its image file."""
     source = {
@@ -141,46 +128,6 @@ def _describe_image_name_field() -> dict[str, Any]:
         "transform": {"regex": "images/(.*)"},
     }
     # The field does not refer to images_by_name, because a loader would then read every image to list the labels.
-    return _describe_field(
+    return croissant_elements.describe_field(
         "radiographs/image", "sc:Text", "File name of the image; it is the key of images_by_name.", source
     )
-
-
-def _describe_image_records() -> dict[str, Any]:
-    """Describe the record set of all images, keyed by file name."""
-    said = {"name": "images_by_name", "description": "All images, keyed by file name."}
-    of_name, of_content = (
-        {"fileSet": {"@id": "images"}, "extract": {"fileProperty": what}} for what in ("filename", "content")
-    )
-    fields = [
-        _describe_field("images_by_name/name", "sc:Text", "File name of the image.", of_name),
-        _describe_field("images_by_name/content", "sc:ImageObject", "Pixels of the radiograph.", of_content),
-    ]
-    key = {"@id": "images_by_name/name"}
-    return {"@type": "cr:RecordSet", "@id": "images_by_name", **said, "key": key, "field": fields}
-
-
-def _describe_split_parts() -> dict[str, Any]:
-    """Describe the subsets of a split: training, validation and test."""
-    fields = [
-        _describe_field("parts/name", "sc:Text", "Name of the subset."),
-        _describe_field("parts/url", "sc:URL", "Purpose of the subset, as an identifier of the Croissant vocabulary."),
-    ]
-    data = [{"parts/name": name, "parts/url": url} for name, url in _SPLIT_URLS.items()]
-    said = {"name": "parts", "description": "Subsets of a split.", "dataType": "cr:Split", "key": {"@id": "parts/name"}}
-    return {"@type": "cr:RecordSet", "@id": "parts", **said, "field": fields, "data": data}
-
-
-def _build_context() -> dict[str, Any]:
-    """Build the JSON-LD context that appendix 1 of the Croissant specification recommends."""
-    terms = (
-        *("citeAs", "column", "extract", "field", "fileProperty", "fileObject", "fileSet", "format", "includes"),
-        *("equivalentProperty", "isLiveDataset", "jsonPath", "key", "md5", "parentField", "path", "recordSet"),
-        *("references", "regex", "repeated", "replace", "samplingRate", "separator", "source", "subField", "transform"),
-    )
-    spaces = {"cr": "http://mlcommons.org/croissant/", "dct": "http://purl.org/dc/terms/", "sc": "https://schema.org/"}
-    spaces["rai"] = "http://mlcommons.org/croissant/RAI/"
-    typed = {name: {"@id": f"cr:{name}", "@type": "@json"} for name in ("data", "examples")}
-    typed["dataType"] = {"@id": "cr:dataType", "@type": "@vocab"}
-    plain = {name: f"cr:{name}" for name in terms} | {"conformsTo": "dct:conformsTo"}
-    return {"@language": "en", "@vocab": "https://schema.org/", **spaces, **plain, **typed}

@@ -42,6 +42,9 @@ def dataset(
     acquisition: Annotated[
         str, typer.Option(help="sampled or fixed; sampled varies positioning, beam, kV, mAs, field and marker.")
     ] = "sampled",
+    equipment: Annotated[
+        str, typer.Option(help="nominal or sampled; sampled varies focal spot, filtration and grid.")
+    ] = "nominal",
     display: Annotated[
         str, typer.Option(help="Display processing of the 8-bit images: sampled, processed, log or film.")
     ] = "sampled",
@@ -76,6 +79,9 @@ def dataset(
     ] = "",
     layout: Annotated[str, typer.Option(help="folder (single files) or shards (tar files for WebDataset).")] = "folder",
     shard_images: Annotated[int, typer.Option(help="Number of images per shard.")] = 100,
+    parquet: Annotated[
+        bool, typer.Option("--parquet", help="Also write index.parquet. Requires the extra parquet.")
+    ] = False,
     scheduler: Scheduler = None,
     engine: Engine = "scanline",
     dry_run: Annotated[
@@ -92,10 +98,8 @@ def dataset(
     """
     if context.invoked_subcommand is not None:
         return
-    from ..core.checks import InputError, require_workers
-    from ..core.processes.execution import Execution
-    from ..core.progress_display import show_progress_bar
-    from ..dataset import DatasetSettings, make_dataset
+    from ..core.checks import require_workers
+    from ..dataset import DatasetSettings
 
     require_workers(workers, "processes")
     settings = DatasetSettings(
@@ -107,6 +111,7 @@ def dataset(
         grades=grades,
         knees_per_person=2 if both_knees else 1,
         acquisition=acquisition,
+        equipment=equipment,
         display=display,
         kinds=_split(kinds),
         crop_mm=crop_mm,
@@ -117,19 +122,13 @@ def dataset(
         maps=_split(maps),
         layout=layout,
         shard_images=shard_images,
+        parquet=parquet,
         engine=engine,
     )
     if dry_run:
         _print_estimate(settings, workers)
         return
-    if out is None:
-        raise InputError("out must be a folder for the data set, got out = none: add --out FOLDER")
-    total = settings.person_count * settings.images_per_person
-    with Execution(progress_bar=show_progress_bar).stage("images", "images", total) as stage:
-        index = make_dataset(
-            settings, out, workers=workers, scheduler=scheduler, progress=stage.advance, on_kept=stage.add_already_done
-        )
-    print(f"index     {index}")
+    _make(settings, out, workers, scheduler)
 
 
 @dataset_app.command()
@@ -148,6 +147,23 @@ def verify(folder: Annotated[Path, typer.Argument(help="Folder of a data set wri
     if faults:
         raise typer.Exit(2)
     print(f"intact    {images} images, all unchanged")
+
+
+def _make(settings: "DatasetSettings", out: Path | None, workers: int, scheduler: str | None) -> None:
+    """Make the data set with a progress bar."""
+    from ..core.checks import InputError
+    from ..core.processes.execution import Execution
+    from ..core.progress_display import show_progress_bar
+    from ..dataset import make_dataset
+
+    if out is None:
+        raise InputError("out must be a folder for the data set, got out = none: add --out FOLDER")
+    total = settings.person_count * settings.images_per_person
+    with Execution(progress_bar=show_progress_bar).stage("images", "images", total) as stage:
+        index = make_dataset(
+            settings, out, workers=workers, scheduler=scheduler, progress=stage.advance, on_kept=stage.add_already_done
+        )
+    print(f"index     {index}")
 
 
 def _print_estimate(settings: "DatasetSettings", workers: int) -> None:

@@ -1,22 +1,29 @@
-"""Write the files that describe a complete data set: index, COCO files and legend."""
+"""Write the files that describe a complete data set: index, COCO files, Croissant metadata and datasheet."""
 
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from ..io.atomic_write import write_bytes
+from ..io.cohort_records import hash_file, write_json
 from ..io.dataset_files import read_part, read_sample_labels
-from ..io.dataset_index_files import write_coco_file, write_index_table
+from ..io.dataset_index_files import find_size, write_coco_file, write_index_table, write_parquet_table
+from .dataset_croissant import build_dataset_metadata
 from .dataset_plan import count_parts
 from .dataset_settings import SPLITS, DatasetSettings
+from .dataset_summary import summarise_index
 from .dataset_tables import DatasetTables
+from .datasheet import render_dataset_datasheet
 from .instances import make_annotations, make_categories
 
 Row = dict[str, Any]
 
 
 def write_index(settings: DatasetSettings, tables: DatasetTables, folder: Path) -> Path:
-    """Write index.csv, and for single files one COCO file per subset. The parts are read one at a time.
+    """Write index, Croissant metadata, datasheet, and for single files one COCO file per subset.
+
+    The parts are read one at a time.
 
     Parameters
     ----------
@@ -38,12 +45,18 @@ def write_index(settings: DatasetSettings, tables: DatasetTables, folder: Path) 
         The disk is full, or a file cannot be written.
     """
     # The columns are collected first, because images of different views have different landmarks.
-    columns = list(dict.fromkeys(name for row in iterate_rows(settings, folder) for name in flatten_row(row)))
-    path = folder / "index.csv"
-    write_index_table(path, columns, (flatten_row(row) for row in iterate_rows(settings, folder)))
+    summary, path = summarise_index(_iterate_flat_rows(settings, folder)), folder / "index.csv"
+    write_index_table(path, list(summary.columns), _iterate_flat_rows(settings, folder))
+    if settings.parquet:
+        write_parquet_table(folder / "index.parquet", summary.columns, _iterate_flat_rows(settings, folder))
     if settings.layout == "folder":
         for split in SPLITS:
             _write_coco(settings, tables, folder, split)
+    write_json(
+        folder / "croissant.json",
+        build_dataset_metadata(settings, summary, hash_file(path), find_size(path)),
+    )
+    write_bytes(folder / "datasheet.md", render_dataset_datasheet(settings, tables, summary).encode())
     return path
 
 
@@ -93,6 +106,11 @@ def flatten_row(row: Mapping[str, Any], prefix: str = "") -> Row:
         else:
             flat[f"{prefix}{name}"] = json.dumps(value) if isinstance(value, list) else value
     return flat
+
+
+def _iterate_flat_rows(settings: DatasetSettings, folder: Path) -> Iterator[Row]:
+    """Yield the flat labels of all images."""
+    return (flatten_row(row) for row in iterate_rows(settings, folder))
 
 
 def _write_coco(settings: DatasetSettings, tables: DatasetTables, folder: Path, split: str) -> None:

@@ -12,6 +12,7 @@ from ..data.code_hash import compute_code_hashes, list_pixel_data_files
 from ..io import dataset_files
 from ..io.atomic_write import delete_stale_temporary_files
 from ..io.cohort_records import claim_folder
+from ..io.dataset_index_files import require_parquet
 from ..model.protocol import protocol_to_dict
 from ..simulation import collect_versions
 from .dataset_index import write_index
@@ -69,6 +70,8 @@ def make_dataset(
     WorkersLostError
         If workers are killed repeatedly.
     """
+    if settings.parquet:
+        require_parquet()
     workers = count_cores() if workers is None else workers
     require_workers(workers, "processes")
     if scheduler is not None:

@@ -16,7 +16,7 @@ from .dataset_settings import SPLITS, DatasetSettings
 from .dataset_tables import DatasetTables
 
 # The following keys separate the random streams of a data set. A stream is identified by the key and a number.
-_GRADES, _BODY, _KNEE, _ACQUISITION, _NOISE, _PAIR, _ATTEMPT = range(7)
+_GRADES, _BODY, _KNEE, _ACQUISITION, _NOISE, _PAIR, _ATTEMPT, _EQUIPMENT = range(8)
 # Number of people of a part if images are written as single files.
 _PEOPLE_PER_PART = 4
 # Time between the two visits of a pair, in years.
@@ -183,7 +183,7 @@ def _plan_knee(
     chance = _stream(settings.seed, *at, _PAIR)
     nominal = tables.protocols[int(chance.integers(len(tables.protocols)))]
     if settings.pairs == "none":
-        return [_plan_image(settings, (*at, 0), split, knee, nominal)]
+        return [_plan_image(settings, tables, (*at, 0), split, knee, nominal)]
     first, second, change = (knee, nominal), (knee, nominal), dict[str, Any]()
     if settings.pairs == "protocol":
         first, second = ((knee, protocol) for protocol in tables.protocols)
@@ -197,22 +197,28 @@ def _plan_knee(
         second, change = (later, nominal), {"years": years, **true_change(knee, later)}
     pair = _make_name(settings.seed, "pair", *at)
     return [
-        replace(_plan_image(settings, (*at, turn), split, *of), pair=pair, role=role, change=change)
+        replace(_plan_image(settings, tables, (*at, turn), split, *of), pair=pair, role=role, change=change)
         for turn, (role, of) in enumerate((("first", first), ("second", second)))
     ]
 
 
 def _plan_image(
-    settings: DatasetSettings, at: tuple[int, int, int], split: str, knee: Knee, nominal: Protocol
+    settings: DatasetSettings,
+    tables: DatasetTables,
+    at: tuple[int, int, int],
+    split: str,
+    knee: Knee,
+    nominal: Protocol,
 ) -> PlannedImage:
     """Sample the acquisition of one image; `at` is the number of the person, the knee and the image.
 
     The two images of a lesion pair have the same acquisition, so that the lesion is the only difference besides noise.
     """
+    place = (*at[:2], 0 if settings.pairs == "lesion" else at[2])
+    if settings.equipment == "sampled":
+        nominal = _sample_equipment(nominal, tables, _stream(settings.seed, *place, _EQUIPMENT))
     if settings.acquisition == "sampled":
-        turn = 0 if settings.pairs == "lesion" else at[2]
-        rng = _stream(settings.seed, *at[:2], turn, _ACQUISITION)
-        nominal = sample_acquisition(nominal, rng=rng, side=knee.side)
+        nominal = sample_acquisition(nominal, rng=_stream(settings.seed, *place, _ACQUISITION), side=knee.side)
     return PlannedImage(
         name=_make_name(settings.seed, "image", *at),
         person=_make_name(settings.seed, "person", at[0]),
@@ -221,6 +227,15 @@ def _plan_image(
         protocol=nominal,
         seed=int(_stream(settings.seed, *at, _NOISE).integers(2**63)),
     )
+
+
+def _sample_equipment(nominal: Protocol, tables: DatasetTables, rng: np.random.Generator) -> Protocol:
+    """Sample focal spot, filtration, and the grid of a protocol that has a grid."""
+    values = tables.definitions.equipment
+    sampled: dict[str, Any] = {name: float(rng.choice(getattr(values, name))) for name in values.__struct_fields__}
+    if not nominal.grid_ratio:
+        sampled = {name: value for name, value in sampled.items() if not name.startswith("grid_")}
+    return replace(nominal, **sampled)
 
 
 def _change_one_lesion(knee: Knee, rng: np.random.Generator) -> tuple[Knee, dict[str, Any]]:

@@ -42,6 +42,8 @@ class DatasetSettings:
         1, or 2 for both knees of a person.
     acquisition : {"sampled", "fixed"}
         ``"sampled"`` varies positioning, beam, kV, mAs, field and marker between images.
+    equipment : {"nominal", "sampled"}
+        ``"sampled"`` varies focal spot, filtration and grid between images; ``"nominal"`` uses those of the protocol.
     display : {"sampled", "processed", "log", "film"}
         Display processing of 8-bit images; ``"sampled"`` varies it between images.
     kinds : tuple of str
@@ -63,6 +65,8 @@ class DatasetSettings:
         ``"folder"`` writes single files. ``"shards"`` writes tar files in the form of WebDataset.
     shard_images : int
         Number of images per shard.
+    parquet : bool
+        Also write the index as Parquet, which needs the extra ``parquet``.
     engine : {"scanline", "embree"}
         Ray caster.
 
@@ -80,6 +84,7 @@ class DatasetSettings:
     grades: str = "balanced"
     knees_per_person: int = 1
     acquisition: str = "sampled"
+    equipment: str = "nominal"
     display: str = "sampled"
     kinds: tuple[str, ...] = ("linear", "display")
     crop_mm: float = 0.0
@@ -90,6 +95,7 @@ class DatasetSettings:
     maps: tuple[str, ...] = ()
     layout: str = "folder"
     shard_images: int = 100
+    parquet: bool = False
     engine: str = "scanline"
 
     def __post_init__(self) -> None:
@@ -99,6 +105,7 @@ class DatasetSettings:
         require_integer("knees_per_person", self.knees_per_person, 1, 2, "")
         require_choice("grades", self.grades, ("balanced", "prevalence"))
         require_choice("acquisition", self.acquisition, ("sampled", "fixed"))
+        require_choice("equipment", self.equipment, ("nominal", "sampled"))
         require_choice("display", self.display, ("sampled", *DISPLAY_PROCESSING))
         require_choice("pairs", self.pairs, PAIRS)
         require_choice("layout", self.layout, LAYOUTS)

@@ -1,5 +1,6 @@
 """Make one labelled image: simulation, display processing, label map and crop."""
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from ..anatomy import build
 from ..data.imaging.display_table import FlatPanelProcessing
 from ..detector.display_rendering import render_for_display
+from ..image_faults import ImageNotice
 from ..model.knee import knee_to_dict
 from ..model.radiograph import Radiograph, Truth
 from ..model.sampling.display_sampling import sample_processing_from_table
@@ -20,6 +22,8 @@ from .dataset_settings import DatasetSettings
 from .dataset_tables import DatasetTables
 from .label_map import add_joint_space_masks, draw_label_map
 
+# Fields of the protocol that describe the X-ray equipment.
+_TECHNIQUE = ("focal_spot_mm", "filtration_mm_al", "grid_ratio", "grid_lines_per_cm")
 # Keys that separate the random streams of one image; `randomisation` uses further keys of its transforms.
 DISPLAY_KEY, CROP_KEY, RANDOMISE_KEY = 1, 2, 3
 
@@ -88,7 +92,10 @@ def make_sample(planned: PlannedImage, settings: DatasetSettings, tables: Datase
     built = build(planned.knee, planned.protocol)
     protocol = move_clear_of_detector(built.scene, built.aim_beam(planned.protocol))
     keep = ("masks", "path_mm") if settings.maps else ("masks",)
-    radiograph = simulate(built, protocol, rng=planned.seed, keep=keep, engine=settings.engine, workers=1)
+    # Thousands of warnings would hide the progress, so they become a label.
+    with warnings.catch_warnings(record=True) as notices:
+        warnings.simplefilter("always", ImageNotice)
+        radiograph = simulate(built, protocol, rng=planned.seed, keep=keep, engine=settings.engine, workers=1)
     truth = radiograph.truth
     assert truth is not None
     processing: str | FlatPanelProcessing = settings.display
@@ -106,7 +113,8 @@ def make_sample(planned: PlannedImage, settings: DatasetSettings, tables: Datase
         masks=masks,
         landmarks_px=truth.landmarks_px,
         pixel_mm=protocol.pixel_mm,
-        labels=_collect_labels(planned, radiograph, truth, processing),
+        labels=_collect_labels(planned, radiograph, truth, processing)
+        | {"warnings": [str(notice.message) for notice in notices]},
         # A material that the knee does not contain, such as marrow of cysts, has a map of zeros.
         maps={name: radiograph.kept["path_mm"].get(name, np.zeros_like(display, np.float32)) for name in settings.maps},
     )
@@ -150,6 +158,7 @@ def _collect_labels(
         "attrition_mm": dict(truth.attrition_mm),
         "protocol": protocol.name,
         "acquisition": dict(truth.acquisition),
+        "technique": {name: getattr(protocol, name) for name in _TECHNIQUE},
         "display": processing if isinstance(processing, str) else _describe_processing(processing),
         "seed": planned.seed,
         "knee": knee,
@@ -180,7 +189,7 @@ def _crop(sample: Sample, settings: DatasetSettings, seed: int) -> Sample:
         masks={name: mask[inside] for name, mask in sample.masks.items()},
         maps={name: of[inside] for name, of in sample.maps.items()},
         landmarks_px={name: (row - top, col - left) for name, (row, col) in sample.landmarks_px.items()},
-        labels={**sample.labels, "crop": {"top_px": top, "left_px": left, "rows": rows, "cols": cols}},
+        labels={**sample.labels, "crop": {"top_px": top, "left_px": left, "whole_rows": rows, "whole_cols": cols}},
     )
 
 

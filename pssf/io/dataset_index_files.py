@@ -3,11 +3,17 @@
 import csv
 import json
 from collections.abc import Iterable, Mapping
+from importlib.util import find_spec
+from itertools import islice
 from pathlib import Path
 from typing import Any, TextIO
 
+from ..core.checks import InputError
 from ..data.user_files import convert_os_errors
 from .atomic_write import replace_file
+
+# Number of rows that are written to a Parquet file together.
+_ROWS_PER_GROUP = 10_000
 
 
 def write_index_table(path: Path, columns: list[str], rows: Iterable[Mapping[str, Any]]) -> None:
@@ -31,6 +37,64 @@ def write_index_table(path: Path, columns: list[str], rows: Iterable[Mapping[str
         writer = csv.DictWriter(handle, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
+
+
+def write_parquet_table(path: Path, columns: Mapping[str, str], rows: Iterable[Mapping[str, Any]]) -> None:
+    """Write rows as Parquet in groups, without holding all of them in memory.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    columns : mapping of str to str
+        Kind of values of each column: "boolean", "integer", "decimal" or "text".
+    rows : iterable of mapping of str to object
+        Values keyed by column; a missing value is null.
+
+    Raises
+    ------
+    InputError
+        The package pyarrow is missing, the disk is full, or the file cannot be written.
+    """
+    require_parquet()
+    import pyarrow as pa
+    from pyarrow.parquet import ParquetWriter
+
+    types = {"boolean": pa.bool_(), "integer": pa.int64(), "decimal": pa.float64(), "text": pa.string()}
+    schema = pa.schema([(name, types[kind]) for name, kind in columns.items()])
+    remaining = iter(rows)
+    with replace_file(path) as temporary, ParquetWriter(temporary, schema) as writer:
+        while group := list(islice(remaining, _ROWS_PER_GROUP)):
+            whole = [{name: _convert_cell(row.get(name), columns[name]) for name in columns} for row in group]
+            writer.write_table(pa.Table.from_pylist(whole, schema=schema))
+
+
+def require_parquet() -> None:
+    """Require the package that writes Parquet.
+
+    Raises
+    ------
+    InputError
+        The package is missing.
+    """
+    if find_spec("pyarrow") is None:
+        raise InputError("parquet must be off without the package pyarrow, got parquet = on: install 'pssf[parquet]'")
+
+
+def find_size(path: Path) -> int:
+    """Return the size of a file.
+
+    Parameters
+    ----------
+    path : Path
+        File.
+
+    Returns
+    -------
+    int
+        Size, in bytes.
+    """
+    return path.stat().st_size
 
 
 def read_index_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
@@ -92,6 +156,13 @@ def write_coco_file(
         handle.write('],\n"annotations": [\n')
         _write_entries(handle, annotations)
         handle.write("]}\n")
+
+
+def _convert_cell(value: Any, kind: str) -> Any:
+    """Convert a value to the type of its column."""
+    if value is None or kind not in ("decimal", "text"):
+        return value
+    return float(value) if kind == "decimal" else str(value)
 
 
 def _write_entries(handle: TextIO, entries: Iterable[Mapping[str, Any]]) -> None:

@@ -1,0 +1,125 @@
+"""Croissant 1.0 metadata of a data set (see `io.croissant_elements`)."""
+
+from typing import Any
+
+from ..io import croissant_elements
+from .dataset_settings import DatasetSettings
+from .dataset_summary import BOOLEAN, DECIMAL, INTEGER, TEXT, IndexSummary
+
+# Data type of each kind of column.
+_TYPES = {BOOLEAN: "sc:Boolean", INTEGER: "sc:Integer", DECIMAL: "sc:Float", TEXT: "sc:Text"}
+_SPLIT_URLS = {"train" if name == "training" else name: url for name, url in croissant_elements.SPLIT_URLS.items()}
+# Meaning of the most important columns of index.csv.
+_COLUMNS = {
+    "name": "Name of the image, and of its files.",
+    "person": "Person; all images of a person are in the same subset.",
+    "split": "Subset.",
+    "rows": "Number of rows, pixels.",
+    "cols": "Number of columns, pixels.",
+    "pixel_mm": "Pixel size on the detector, mm.",
+    "side": "Side of the knee, right or left.",
+    "sex": "Sex, female or male.",
+    "age_years": "Age, years.",
+    "bmi": "Body mass index, kg/m2.",
+    "kl": "Label: Kellgren-Lawrence grade of the sampled knee, 0 to 4.",
+    "kl_read": "Kellgren-Lawrence grade of a simulated reader.",
+    "jsw_medial_mm": "Minimum medial joint space width on this image, mm.",
+    "jsw_lateral_mm": "Minimum lateral joint space width on this image, mm.",
+    "protocol": "Name of the protocol.",
+    "seed": "Seed of noise, crop, display processing and randomisation.",
+    "pair": "Name that the two images of a pair share.",
+    "role": "Position of the image in its pair, first or second.",
+    "attempt": "Number of earlier samples of this person whose knees could not be built.",
+    "file": "Shard that contains the image.",
+}
+# Meaning of other columns, keyed by the beginning or end of their names.
+_PREFIXES = {
+    "jsw_at_mm_": "Joint space width, mm, at a fraction of the femoral width: JSW(x), x =",
+    "readings_": "Grade or angle of the knee:",
+    "attrition_mm_": "Depth of wear of the plateau, mm:",
+    "acquisition_": "Parameter of the acquisition:",
+    "technique_": "Parameter of the X-ray equipment:",
+    "display_": "Parameter of the display processing:",
+    "change_": "True difference between the two images of a pair:",
+    "crop_": "Position of the crop in the whole image, or size of the whole image, pixels:",
+    "knee_": "Field of the knee:",
+}
+
+
+def build_dataset_metadata(settings: DatasetSettings, summary: IndexSummary, sha256: str, size: int) -> dict[str, Any]:
+    """Build the Croissant metadata of a data set.
+
+    Parameters
+    ----------
+    settings : DatasetSettings
+        Settings of the data set.
+    summary : IndexSummary
+        Columns of index.csv.
+    sha256 : str
+        SHA-256 hash of index.csv.
+    size : int
+        Size of index.csv, in bytes.
+
+    Returns
+    -------
+    dict of str to object
+        JSON-ready metadata, without licence, URL and date, which the publisher of a data set adds.
+    """
+    fields = []
+    for column, kind in summary.columns.items():
+        described = croissant_elements.describe_column(
+            "index", "index.csv", column, _TYPES[kind], _describe_column(column)
+        )
+        references = {"references": {"field": {"@id": "parts/name"}}} if column == "split" else {}
+        fields.append(described | references)
+    sets, records = _describe_files(settings)
+    table = {"@type": "cr:RecordSet", "@id": "index", "name": "index", "description": "One record per image."}
+    return {
+        "@context": croissant_elements.build_context(),
+        "@type": "sc:Dataset",
+        "conformsTo": croissant_elements.CONFORMS_TO,
+        "name": "simulated-knee-radiographs",
+        "description": f"{summary.images} knee radiographs of {summary.people} people, simulated by pssf with "
+        f"seed {settings.seed}; labels are true by construction. datasheet.md describes the data set.",
+        "keywords": ["knee", "radiograph", "osteoarthritis", "simulation"],
+        "isLiveDataset": False,
+        "distribution": [croissant_elements.describe_file("index.csv", sha256, size), *sets],
+        "recordSet": [
+            {**table, "key": {"@id": "index/name"}, "field": fields},
+            croissant_elements.describe_split_parts(_SPLIT_URLS),
+            *records,
+        ],
+    }
+
+
+def _describe_column(name: str) -> str:
+    """Describe a column of index.csv."""
+    if name in _COLUMNS:
+        return _COLUMNS[name]
+    for ending, what in (("_row_px", "Row"), ("_col_px", "Column")):
+        if name.endswith(ending):
+            return f"{what} of the landmark {name.removesuffix(ending)}, pixels."
+    for prefix, what in _PREFIXES.items():
+        if name.startswith(prefix):
+            return f"{what} {name.removeprefix(prefix)}."
+    return f"{name.replace('_', ' ').capitalize()}."
+
+
+def _describe_files(settings: DatasetSettings) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
+    """Describe the sets of files, and the record sets of images."""
+    if settings.layout == "shards":
+        text = "Shards in the form of WebDataset; the files of one image have the same name up to the first dot."
+        return [croissant_elements.describe_file_set("shards", "application/x-tar", "*/*.tar", text)], []
+    kinds = {
+        "linear": ("image/tiff", "tif", "16-bit images, linear in the absorbed energy."),
+        "display": ("image/png", "png", "8-bit images, processed for display."),
+        "label_map": ("image/png", "png", "Label maps."),
+    }
+    kinds = {name: about for name, about in kinds.items() if name in (*settings.kinds, "label_map")}
+    sets = [
+        croissant_elements.describe_file_set(name, media, f"*/{name}/*.{suffix}", text)
+        for name, (media, suffix, text) in kinds.items()
+    ]
+    text = "Labels, landmarks and COCO instances of each image."
+    sets.append(croissant_elements.describe_file_set("labels", "application/json", "*/labels/*.json", text))
+    return sets, [croissant_elements.describe_images(name, about[2]) for name, about in kinds.items()]
