@@ -61,6 +61,8 @@ myst_heading_anchors = 3
 autosummary_generate = True
 autosummary_imported_members = True
 autodoc_typehints = "none"
+# The documentation describes pssf.torch also where PyTorch is not installed.
+autodoc_mock_imports = ["torch"]
 autodoc_member_order = "bysource"
 numpydoc_show_class_members = False
 numpydoc_class_members_toctree = False
