@@ -36,6 +36,7 @@ extensions = [
     "field_lists",
     "column_lists",
     "public_names",
+    "class_signatures",
     "axes_drawing",
     "check_links",
     "measured_tables",

@@ -379,3 +379,18 @@ def test_wrong_settings_give_one_line_and_exit_code_2(options, message, tmp_path
 
 def test_recipes_consist_of_known_transforms():
     assert all(name in TRANSFORMS for names in RECIPES.values() for name in names)
+
+
+def test_a_dry_run_estimates_the_cost_and_writes_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    options = ["--images", "7200", "--matrix", "48", "--layout", "shards", "--workers", "2", "--dry-run"]
+    result = run_pssf("dataset", *options)
+    assert result.returncode == 0, result.stderr
+    lines = dict(line.split(maxsplit=1) for line in result.stdout.splitlines())
+    # 7,200 images in shards of 100 give 51 + 11 + 11 shards with one record each.
+    assert lines["images"] == "7,200 in 146 files"
+    cpu, run = (float(lines[name].split(maxsplit=1)[1].split()[0]) for name in ("CPU", "run"))
+    assert run == pytest.approx(cpu / 2, abs=0.06)
+    assert lines["run"].endswith("h with 2 workers on as many cores")
+    assert lines["disk"].endswith(" MB")
+    assert not list(tmp_path.iterdir())

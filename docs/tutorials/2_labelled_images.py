@@ -11,8 +11,8 @@ set** ``IMAGES = 500`` **and** ``MATRIX = 512``.
 # Estimate the cost
 # -----------------
 #
-# With ``--dry-run``, the command ``pssf dataset`` simulates a few images and prints the CPU time, the disk space and the
-# number of files of the complete data set. It writes nothing.
+# With ``--dry-run``, the command ``pssf dataset`` simulates a few images and prints CPU time, disk space and number of
+# files of the complete data set. It writes nothing.
 
 import csv
 import json
@@ -56,8 +56,8 @@ for path in sorted((work / "train").iterdir()):
     print(path.name)
 
 # %%
-# ``index.csv`` has one row per image. Names are hashes, so that no name predicts a label. Repeat the command to continue
-# an interrupted run; ``pssf dataset verify`` checks all files.
+# ``index.csv`` has one row per image. Names are hashes, so that no name predicts a label. Repeat the command to
+# continue an interrupted run; ``pssf dataset verify`` checks all files.
 
 with (work / "train" / "index.csv").open(newline="") as file:
     rows = list(csv.DictReader(file))
@@ -69,8 +69,8 @@ run_pssf("dataset", "verify", f"{work}/train")
 # Look at images and labels
 # -------------------------
 #
-# Each image has four files: a linear 16-bit TIFF, a PNG that is processed for display, a label map, and a JSON file with
-# all labels. ``dataset.json`` contains the values of the label map: 1 is the femur, 2 the tibia, 6 the joint space.
+# Each image has four files: a linear 16-bit TIFF, a PNG that is processed for display, a label map, and a JSON file
+# with all labels. ``dataset.json`` contains the values of the label map: 1 is the femur, 2 the tibia, 6 the joint space.
 
 folder = work / "train"
 figure, axes = plt.subplots(2, len(rows), figsize=(10, 4.6), layout="constrained")
@@ -110,5 +110,5 @@ print(sorted({one.get("name", "knee") for one in coco["annotations"]}))
 #     for batch in DataLoader(training, batch_size=16, shuffle=True):
 #         batch["image"], batch["label_map"], batch["landmarks_px"], batch["kl"]
 #
-# The examples ``train_pytorch``, ``train_monai`` and ``train_torchio`` of the gallery train three epochs. A network that
-# is trained on these images is not validated for use on patients. See :doc:`/explanation/limits`.
+# The examples ``train_pytorch``, ``train_monai`` and ``train_torchio`` of the gallery train three epochs. A network
+# that is trained on these images is not validated for use on patients. See :doc:`/explanation/limits`.

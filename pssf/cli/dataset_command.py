@@ -173,11 +173,24 @@ def _print_estimate(settings: "DatasetSettings", workers: int) -> None:
 
     with show_status("simulating a few images"):
         cost = estimate_cost(settings)
-    hours = cost.cpu_seconds / 3600
     print(f"images    {cost.images:,} in {cost.files:,} files")
-    print(f"disk      {cost.disk_mb / 1000:,.1f} GB")
-    print(f"CPU time  {hours:,.1f} h; run time with {workers} workers on as many cores {hours / workers:,.1f} h")
+    print(f"disk      {_format_size(cost.disk_mb)}")
+    print(f"CPU time  {_format_time(cost.cpu_seconds)}")
+    print(f"run time  {_format_time(cost.cpu_seconds / workers)} with {workers} workers on as many cores")
     print(f"estimated from {cost.measured_images} images on this machine")
+
+
+def _format_size(size_mb: float) -> str:
+    """Format a size on disk with a suitable unit."""
+    return f"{size_mb:,.1f} MB" if size_mb < 1000 else f"{size_mb / 1000:,.1f} GB"
+
+
+def _format_time(seconds: float) -> str:
+    """Format a time with a suitable unit."""
+    unit, name = next(
+        (unit, name) for unit, name in ((3600, "h"), (60, "min"), (1, "s")) if seconds >= 2 * unit or unit == 1
+    )
+    return f"{seconds / unit:,.1f} {name}"
 
 
 def _split(text: str) -> tuple[str, ...]:
