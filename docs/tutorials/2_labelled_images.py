@@ -70,7 +70,7 @@ run_pssf("dataset", "verify", f"{work}/train")
 # -------------------------
 #
 # Each image has four files: a linear 16-bit TIFF, a PNG that is processed for display, a label map, and a JSON file
-# with all labels. ``dataset.json`` contains the values of the label map: 1 is the femur, 2 the tibia, 6 the joint space.
+# with all labels. ``dataset.json`` contains the values of the label map, such as 1 for the femur and 2 for the tibia.
 
 folder = work / "train"
 figure, axes = plt.subplots(2, len(rows), figsize=(10, 4.6), layout="constrained")
