@@ -61,8 +61,8 @@ KEEPABLE_MAPS = ("path_mm", "primary", "scatter", "noise_free", "masks")
 Subject = Knee | BuiltKnee | BuiltPair | Scene | tuple[Knee | BuiltKnee, Knee | BuiltKnee]
 # Text of the warning that the scatter kernel is not fitted to axial views.
 _AXIAL_KERNEL_WARNING = (
-    "scatter = 'kernel' is not fitted to axial views, in which scatter around the joint differs from the Monte Carlo "
-    "simulation by up to 30 % (docs/validation/views_and_quality.md); use scatter = 'monte_carlo', which is valid in every view"
+    "scatter = 'kernel' is not fitted to axial views, in which scatter around the joint is wrong by up to 30 % "
+    "(docs/validation/views_and_quality.md); use scatter = 'monte_carlo', which is valid in every view"
 )
 
 

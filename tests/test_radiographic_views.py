@@ -296,10 +296,11 @@ def test_every_reference_value_of_patient_views_is_also_simulated():
 
 
 def test_scatter_kernel_and_monte_carlo_are_compared_for_each_view():
-    (row,) = view_scatter.compare_scatter_by_view(1, ("lateral",), 200_000)
+    (row,) = view_scatter.compare_scatter_by_view(1, ("lateral",), 200_000, sampled_grades=(2,))
     assert (row["view"], row["photons"]) == ("lateral", 200_000)
     assert 40 < row["exit_gap_mm"] < 80
     assert abs(row["off_percent"]) < 30
+    assert row["sampled_low_percent"] == row["sampled_high_percent"] != row["off_percent"]
     assert abs(row["off_signal_percent"]) < abs(row["off_percent"])
 
 
