@@ -17,6 +17,7 @@ from pssf.core.processes import parallel_map
 from pssf.core.processes.execution import Execution
 from pssf.core.processes.parallel_map import map_in_parallel
 from pssf.core.processes.worker_processes import WorkersLostError
+from pssf.dataset import DatasetSettings, make_dataset, verify_dataset
 from pssf.radiomics.features.feature_table import ExtractionSettings, measure_radiographs
 from pssf.radiomics.radiomics_tables import radiomics_tables
 from pssf.study.learn.training import train_all_splits
@@ -46,6 +47,14 @@ def test_a_cohort_made_on_a_cluster_equals_that_of_one_local_worker(cluster, sma
     cohort.make_cohort(plan_tiny_cohort(small_protocols), tmp_path / "c", scheduler=cluster.scheduler_address)
     assert compute_digests(tmp_path / "c") == compute_digests(whole_cohort)
     assert cohort.verify_cohort(tmp_path / "c").faults == ()
+
+
+def test_a_data_set_made_on_a_cluster_equals_that_of_one_local_worker(cluster, tmp_path):
+    settings = DatasetSettings(images=5, matrix=48, split=(0.8, 0.2, 0.0), layout="shards", shard_images=2)
+    make_dataset(settings, tmp_path / "local", workers=1)
+    make_dataset(settings, tmp_path / "cluster", scheduler=cluster.scheduler_address)
+    assert compute_digests(tmp_path / "cluster") == compute_digests(tmp_path / "local")
+    assert verify_dataset(tmp_path / "cluster") == (5, [])
 
 
 def compute_with_process_id(item, offset):
