@@ -1,4 +1,4 @@
-"""Train a U-Net of MONAI to find the parts of a knee, with images that are simulated during training."""
+"""Train a U-Net of MONAI to segment a knee, with images that are simulated during training."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,7 @@ EPOCHS = 3
 
 
 def run(out: Path, pixels: int = 2048, images: int = 12) -> list[Path]:
-    """Train for three epochs with `images` new images each, with `pixels` / 8 pixels per side; write the losses."""
+    """Train for three epochs with `images` new images of `pixels` / 8 pixels per side, and write the losses."""
     transform = Compose(
         [
             EnsureChannelFirstd("label_map", channel_dim="no_channel"),
@@ -26,7 +26,7 @@ def run(out: Path, pixels: int = 2048, images: int = 12) -> list[Path]:
             RandGaussianNoised("image", std=0.03, prob=0.5),
         ]
     ).set_random_state(seed=0)
-    # A square crop, because each level of a U-Net halves the image.
+    # The size of the crop is divisible by 4, because two levels of the U-Net halve the image.
     settings = DatasetSettings(images=images, matrix=pixels // 8, crop_mm=140, randomise=("affine",), seed=2)
     stream = KneeStream(settings, transform=transform)
     kinds = max(stream.label_map.values()) + 1

@@ -1,4 +1,4 @@
-"""Train a small network of plain PyTorch to label the parts of a knee, with images from a folder."""
+"""Train a small network of plain PyTorch to segment a knee, with images from a folder."""
 
 import json
 from pathlib import Path
@@ -15,7 +15,7 @@ EPOCHS = 3
 
 
 def make_network(kinds: int) -> nn.Module:
-    """Make a network of dilated convolutions with one output channel per kind of part."""
+    """Make a network of dilated convolutions with one output channel per class."""
     layers, channels = [], 1
     for dilation in (1, 2, 4, 8, 4, 2):
         layers += [nn.Conv2d(channels, 24, 3, padding=dilation, dilation=dilation), nn.GroupNorm(4, 24), nn.ReLU()]

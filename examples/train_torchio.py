@@ -26,7 +26,9 @@ def augment(item: dict[str, Any]) -> dict[str, Any]:
 
 
 def run(out: Path, pixels: int = 2048, images: int = 30) -> list[Path]:
-    """Make a data set of crops with `pixels` / 16 pixels per side, train, and write errors of the validation images."""
+    """Make a data set of crops with `pixels` / 16 pixels per side, train, and write the mean absolute errors of the
+    validation images.
+    """
     settings = DatasetSettings(images=images, matrix=pixels // 16, crop_mm=140, split=(0.7, 0.3, 0.0), seed=3)
     index = make_dataset(settings, out / "crops")
     training = KneeDataset(out / "crops", "train", transform=augment)

@@ -1,4 +1,4 @@
-"""Data sets of PyTorch: a folder of labelled images, and a stream of images that are simulated during training.
+"""Data sets for PyTorch: images from a folder, or images that are simulated during training.
 
 This module needs PyTorch (extra ``torch``); no other module of the package imports it.
 """
@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .core.checks import InputError, require_choice, require_integer
-from .dataset import DatasetSettings, DatasetTables, load_dataset_tables, make_person_samples
+from .dataset import DatasetSettings, DatasetTables, load_dataset_tables, make_subject_samples
+from .dataset.coco_instances import decode_run_lengths
 from .dataset.dataset_settings import IMAGE_KINDS
-from .dataset.dataset_verification import read_dataset_settings
-from .dataset.instances import decode_run_lengths
-from .dataset.label_map import find_kind
+from .dataset.dataset_verification import read_dataset_settings, read_label_map
+from .dataset.label_map import find_mask_class
 from .dataset.sample_files import collect_labels
 from .io.dataset_files import read_maps, read_pixels, read_sample_labels
 from .io.dataset_index_files import read_index_table
@@ -50,7 +50,7 @@ class KneeDataset(Dataset[Item]):
     image : {"display", "linear"}
         Kind of image: 8 bits processed for display, or 16 bits linear in the absorbed energy.
     keep : sequence of {"masks", "maps"}
-        Additional parts of each item.
+        Additional fields of each item.
     transform : callable, optional
         Function of an item that returns the item for training; None: no function.
 
@@ -63,7 +63,7 @@ class KneeDataset(Dataset[Item]):
     landmark_names : tuple of str
         Name of each row of ``landmarks_px``.
     label_map : dict of str to int
-        Value of each kind of part in the label map.
+        Value of each class in the label map.
     map_names : tuple of str
         Material of each path length map.
 
@@ -74,11 +74,17 @@ class KneeDataset(Dataset[Item]):
 
     Notes
     -----
-    An item is a dict with tensors and text: ``image`` (1, rows, cols) float32 from 0 to 1; ``label_map`` (rows, cols)
-    int64; ``landmarks_px`` (landmarks, 2) float32 with row and column, NaN for a landmark of another view; ``kl``
-    int64; ``jsw_medial_mm``, ``jsw_lateral_mm`` and ``pixel_mm`` float32, NaN if the view has no such label; ``name``
-    and ``person`` text. With ``keep``, it also contains ``masks`` (kinds, rows, cols) bool in the order of
-    ``label_map`` without background, where parts may overlap, and ``maps`` (materials, rows, cols) float32, in mm.
+    An item is a dict with these fields:
+
+    - ``image``: (1, rows, cols) float32, 0 to 1
+    - ``label_map``: (rows, cols) int64
+    - ``landmarks_px``: (landmarks, 2) float32, row and column; NaN if the view lacks the landmark
+    - ``kl``: int64
+    - ``jsw_medial_mm``, ``jsw_lateral_mm``: float32; NaN if the view has no joint space labels
+    - ``pixel_mm``: float32
+    - ``name``, ``subject``: str
+    - ``masks``: (classes, rows, cols) bool, in the order of `label_map` without background; masks can overlap
+    - ``maps``: (materials, rows, cols) float32, in mm
     """
 
     def __init__(
@@ -96,13 +102,13 @@ class KneeDataset(Dataset[Item]):
         self.keep, self.map_names = _require_parts(keep, settings), settings.maps
         require_choice("image", image, settings.kinds)
         if settings.layout != "folder":
-            raise InputError(f"layout must be folder, got layout = {settings.layout}; read shards with webdataset")
+            raise InputError(f"layout must be folder, got layout = {settings.layout}: read shards with webdataset")
         columns, rows = read_index_table(self.folder / "index.csv")
         rows = [row for row in rows if row["split"] == split]
         self.names = [row["name"] for row in rows]
         self.kl = [int(row["kl"]) for row in rows]
         self.landmark_names = tuple(name.removesuffix("_row_px") for name in columns if name.endswith("_row_px"))
-        self.label_map = dict(load_dataset_tables(settings).definitions.label_map)
+        self.label_map = read_label_map(self.folder)
 
     def __len__(self) -> int:
         """Return the number of images."""
@@ -143,16 +149,17 @@ class KneeDataset(Dataset[Item]):
 
 
 class KneeStream(IterableDataset[Item]):
-    """Iterable data set that simulates its images, in every epoch those of new people.
+    """Iterable data set that simulates images of new subjects in every epoch.
 
     Parameters
     ----------
     settings : DatasetSettings
-        Settings; ``images`` is the number of images of one epoch. Subsets, layout and kinds of files have no effect.
+        Settings; ``images`` is the number of images per epoch. The settings ``split``, ``layout``, ``kinds``,
+        ``shard_images`` and ``parquet`` have no effect.
     image : {"display", "linear"}
         Kind of image, as in `KneeDataset`.
     keep : sequence of {"masks", "maps"}
-        Additional parts of each item.
+        Additional fields of each item.
     transform : callable, optional
         Function of an item that returns the item for training; None: no function.
 
@@ -161,7 +168,7 @@ class KneeStream(IterableDataset[Item]):
     landmark_names : tuple of str
         Name of each row of ``landmarks_px``.
     label_map : dict of str to int
-        Value of each kind of part in the label map.
+        Value of each class in the label map.
     map_names : tuple of str
         Material of each path length map.
 
@@ -170,11 +177,10 @@ class KneeStream(IterableDataset[Item]):
     InputError
         If a table or protocol is unknown, or a part of the items is not available.
 
-    Notes
-    -----
-    Items have the same form as in `KneeDataset`. An epoch contains the same images for any number of loader processes;
-    their order depends on this number. The people of the first epoch are those of a data set with the same settings;
-    use another seed for the images on which a network is tested.
+    Notes ----- Items have the same fields as in `KneeDataset`. An epoch contains the same images for any number of
+    loader processes, if this number does not change between epochs; their order depends on this number. After a change,
+    call `set_epoch`. In distributed training, use another seed for each rank. The subjects of the first epoch are those
+    of a data set with the same settings; use another seed for the images on which a network is tested.
     """
 
     def __init__(
@@ -216,9 +222,9 @@ class KneeStream(IterableDataset[Item]):
         place, count = (0, 1) if worker is None else (worker.id, worker.num_workers)
         epoch = int(self._epochs[place])
         self._epochs[place] += 1
-        first = epoch * self.settings.person_count
-        for person in range(first + place, first + self.settings.person_count, count):
-            for sample in make_person_samples(self.settings, self._tables, person, "train"):
+        first = epoch * self.settings.subject_count
+        for subject in range(first + place, first + self.settings.subject_count, count):
+            for sample in make_subject_samples(self.settings, self._tables, subject, "train"):
                 pixels = sample.display if self.image == "display" else sample.linear
                 item = _make_item(pixels, sample.label_map, collect_labels(sample), self.landmark_names)
                 _add_parts(item, self.keep, sample.masks, sample.maps, self.label_map, self.map_names)
@@ -230,17 +236,17 @@ def _require_parts(keep: Sequence[str], settings: DatasetSettings) -> tuple[str,
     for part in keep:
         require_choice("keep", part, _OPTIONAL_PARTS)
         if part == "maps" and not settings.maps:
-            raise InputError(f"keep must be available in the data set, got {part} for settings without maps")
+            raise InputError(f"keep must not contain maps for a data set without maps, got {part}: make it with --maps")
     return tuple(keep)
 
 
 def _list_landmarks(settings: DatasetSettings, tables: DatasetTables) -> tuple[str, ...]:
-    """List the landmarks of all protocols; the first person is simulated with few pixels."""
+    """List the landmarks of all protocols; the first subject is simulated with few pixels."""
     names = dict[str, None]()
     for protocol in tables.protocols:
         small = replace(tables, protocols=(protocol.resample(_SMALL_MATRIX),) * len(tables.protocols))
         plain = replace(settings, crop_mm=0.0, randomise=(), maps=())
-        names |= dict.fromkeys(make_person_samples(plain, small, 0, "train")[0].landmarks_px)
+        names |= dict.fromkeys(make_subject_samples(plain, small, 0, "train")[0].landmarks_px)
     return tuple(names)
 
 
@@ -261,7 +267,7 @@ def _make_item(
         "kl": torch.tensor(labels["kl"], dtype=torch.int64),
         **lengths,
         "name": labels["name"],
-        "person": labels["person"],
+        "subject": labels["subject"],
     }
 
 
@@ -273,12 +279,12 @@ def _add_parts(
     label_map: Mapping[str, int],
     map_names: Sequence[str],
 ) -> None:
-    """Add the requested parts to an item: the union of the masks of each kind, and path lengths."""
+    """Add the requested parts to an item: the union of the masks of each class, and path lengths."""
     if "masks" in keep:
         shape, kinds = item["label_map"].shape, [kind for kind, value in label_map.items() if value]
         united = np.zeros((len(kinds), *shape), bool)
         for name, mask in masks.items():
-            united[kinds.index(find_kind(name, label_map))] |= mask
+            united[kinds.index(find_mask_class(name, label_map))] |= mask
         item["masks"] = torch.from_numpy(united)
     if "maps" in keep:
         item["maps"] = torch.from_numpy(np.stack([maps[name] for name in map_names]).astype(np.float32))

@@ -20,23 +20,23 @@ from pssf.dataset import (
     count_parts,
     load_dataset_tables,
     make_dataset,
-    make_person_samples,
     make_sample,
-    plan_person,
+    make_subject_samples,
+    plan_subject,
     randomise,
     verify_dataset,
 )
+from pssf.dataset.coco_instances import decode_run_lengths, encode_run_lengths
 from pssf.dataset.dataset_plan import find_part
 from pssf.dataset.dataset_summary import summarise_index
-from pssf.dataset.instances import decode_run_lengths, encode_run_lengths
 from pssf.dataset.label_map import add_joint_space_masks, draw_label_map
 
 SMALL = {"matrix": 96, "seed": 5}
 
 
-def plan(settings, tables, people):
-    """Plan the images of people."""
-    return [image for person in people for image in plan_person(settings, tables, person, "train")]
+def plan(settings, tables, subjects):
+    """Plan the images of subjects."""
+    return [image for subject in subjects for image in plan_subject(settings, tables, subject, "train")]
 
 
 @pytest.fixture(scope="module")
@@ -48,29 +48,29 @@ def sample_of_knee():
     return planned, make_sample(planned, settings, tables), settings, tables
 
 
-@pytest.mark.parametrize("changes", [{}, {"knees_per_person": 2}, {"pairs": "visit"}, {"layout": "shards"}])
-def test_parts_cover_every_person_once_without_mixing_subsets(changes):
+@pytest.mark.parametrize("changes", [{}, {"knees_per_subject": 2}, {"pairs": "visit"}, {"layout": "shards"}])
+def test_parts_cover_every_subject_once_without_mixing_subsets(changes):
     settings = DatasetSettings(images=101, shard_images=20, **changes)
     parts = [find_part(settings, index) for index in range(count_parts(settings))]
-    people = [person for part in parts for person in range(part.first, part.first + part.count)]
-    assert people == list(range(settings.person_count))
-    assert settings.person_count * settings.images_per_person >= 101
+    subjects = [subject for part in parts for subject in range(part.first, part.first + part.count)]
+    assert subjects == list(range(settings.subject_count))
+    assert settings.subject_count * settings.images_per_subject >= 101
     fractions = [sum(part.count for part in parts if part.split == name) for name in ("train", "validation", "test")]
-    assert np.allclose(np.array(fractions) / settings.person_count, settings.split, atol=1 / settings.person_count)
+    assert np.allclose(np.array(fractions) / settings.subject_count, settings.split, atol=1 / settings.subject_count)
     with pytest.raises(IndexError, match="part must be an index below"):
         find_part(settings, len(parts))
 
 
-def test_a_balanced_plan_has_the_same_number_of_people_of_each_grade_and_names_tell_nothing():
-    settings = DatasetSettings(images=40, knees_per_person=2, split=(1.0, 0.0, 0.0))
+def test_a_balanced_plan_has_the_same_number_of_subjects_of_each_grade_and_names_tell_nothing():
+    settings = DatasetSettings(images=40, knees_per_subject=2, split=(1.0, 0.0, 0.0))
     tables = load_dataset_tables(settings)
-    planned = plan(settings, tables, range(settings.person_count))
+    planned = plan(settings, tables, range(settings.subject_count))
     grades = [image.knee.grade for image in planned]
     assert [grades.count(grade) for grade in range(5)] == [8] * 5
     assert len({image.name for image in planned}) == 40
-    assert len({image.person for image in planned}) == 20
+    assert len({image.subject for image in planned}) == 20
     for right, left in zip(planned[::2], planned[1::2], strict=True):
-        assert (right.person, right.knee.side, left.knee.side) == (left.person, "right", "left")
+        assert (right.subject, right.knee.side, left.knee.side) == (left.subject, "right", "left")
         assert right.knee.stature_mm == left.knee.stature_mm
     # The order of the names is independent of the grades: a rank correlation of 40 grades has a spread of 0.16.
     order = np.argsort(np.argsort([image.name for image in planned]))
@@ -95,12 +95,14 @@ def test_pairs_differ_only_in_what_their_change_says():
         planned = plan(settings, tables, range(4))
         for first, second in zip(planned[::2], planned[1::2], strict=True):
             assert (first.pair, first.role, second.role) == (second.pair, "first", "second")
-            assert first.person == second.person
+            assert first.subject == second.subject
             if pairs == "lesion":
                 kind = first.change["lesion"] + "s"
                 before, after = (len(getattr(image.knee, kind)) for image in (first, second))
                 assert after - before == (1 if first.change["added"] else -1)
                 assert first.protocol == second.protocol
+                assert first.appearance_seed == second.appearance_seed
+                assert first.seed != second.seed
                 unchanged = dataclasses.replace(first.knee, **{kind: (), "grade": None})
                 assert dataclasses.replace(second.knee, **{kind: ()}) == unchanged
             elif pairs == "visit":
@@ -203,14 +205,14 @@ def test_sampled_equipment_varies_and_keeps_a_view_without_grid():
 
 def test_an_index_is_summarised_in_one_pass():
     rows = [
-        {"split": "train", "kl": 1, "person": "a", "x": None, "y": 1, "z": True},
-        {"split": "train", "kl": 1, "person": "a", "x": 2, "y": 1.5, "z": "no"},
-        {"split": "test", "kl": 0, "person": "b", "w": None, "x": None},
+        {"split": "train", "kl": 1, "subject": "a", "x": None, "y": 1, "z": True},
+        {"split": "train", "kl": 1, "subject": "a", "x": 2, "y": 1.5, "z": "no"},
+        {"split": "test", "kl": 0, "subject": "b", "w": None, "x": None},
     ]
     summary = summarise_index(rows)
-    kinds = {"split": "text", "kl": "integer", "person": "text", "x": "integer", "y": "decimal", "z": "text"}
+    kinds = {"split": "text", "kl": "integer", "subject": "text", "x": "integer", "y": "decimal", "z": "text"}
     assert summary.columns == {**kinds, "w": "text"}
-    assert (summary.people, summary.images, summary.counts["train", 1]) == (2, 3, 2)
+    assert (summary.subjects, summary.images, summary.counts["train", 1]) == (2, 3, 2)
 
 
 def test_run_lengths_reproduce_a_mask():
@@ -247,7 +249,15 @@ def test_a_data_set_has_the_same_bytes_for_any_workers_and_after_an_interruption
     _require_readable(tmp_path / "two", settings)
     damaged = next((tmp_path / "two/train/linear").iterdir())
     damaged.write_bytes(b"")
-    assert verify_dataset(tmp_path / "two")[1] == [f"train/linear/{damaged.name}: changed"]
+    (tmp_path / "two/notes.txt").touch()
+    with open(tmp_path / "two/coco_train.json", "a") as file:
+        file.write(" ")
+    faults = [
+        f"train/linear/{damaged.name}: changed",
+        "coco_train.json: changed",
+        "notes.txt: not part of the data set",
+    ]
+    assert verify_dataset(tmp_path / "two")[1] == faults
     with pytest.raises(pssf.InputError, match=r"must be unchanged, got other content; delete .*part-000000\.json"):
         make_dataset(settings, tmp_path / "two", workers=1)
     with pytest.raises(pssf.InputError, match=r"contains a different dataset \(settings\.seed = 5, requested 6\)"):
@@ -291,7 +301,7 @@ def test_parquet_and_croissant_describe_the_index(tmp_path):
             else:
                 assert row[name] == ("" if value is None else str(value))
     sheet = (tmp_path / "datasheet.md").read_text()
-    assert "4 simulated knee radiographs of 2 people" in sheet
+    assert "4 simulated knee radiographs of 2 subjects" in sheet
     assert "{" not in sheet
     croissant = json.loads((tmp_path / "croissant.json").read_text())
     fields = croissant["recordSet"][0]["field"]
@@ -319,16 +329,15 @@ def test_shards_hold_all_files_of_an_image_under_one_key(tmp_path):
     assert verify_dataset(tmp_path) == (3, [])
 
 
-def test_a_repeat_of_the_randomisation_changes_only_the_transforms(sample_of_knee):
+def test_grey_transforms_change_only_the_image_for_display(sample_of_knee):
     _, sample, settings, tables = sample_of_knee
     strong = dataclasses.replace(settings, randomise=("gamma", "noise"))
-    first, second = (make_person_samples(strong, tables, 0, "train", repeat=repeat)[0] for repeat in (0, 1))
-    assert (first.linear == second.linear).all()
-    assert (first.linear == sample.linear).all()
-    assert (first.display != second.display).any()
+    (changed,) = make_subject_samples(strong, tables, 0, "train")
+    assert (changed.linear == sample.linear).all()
+    assert (changed.display != sample.display).any()
 
 
-def test_a_person_whose_knee_cannot_be_built_is_sampled_again_with_the_same_grade(monkeypatch, sample_of_knee):
+def test_a_subject_whose_knee_cannot_be_built_is_sampled_again_with_the_same_grade(monkeypatch, sample_of_knee):
     _, sample, settings, tables = sample_of_knee
     asked = []
 
@@ -338,17 +347,17 @@ def test_a_person_whose_knee_cannot_be_built_is_sampled_again_with_the_same_grad
             raise pssf.InputError("knee must be possible, got another")
         return make_sample(planned, settings, tables)
 
-    monkeypatch.setattr("pssf.dataset.person_samples.make_sample", refuse_twice)
-    (made,) = make_person_samples(settings, tables, 0, "train")
+    monkeypatch.setattr("pssf.dataset.subject_samples.make_sample", refuse_twice)
+    (made,) = make_subject_samples(settings, tables, 0, "train")
     assert (made.labels["attempt"], made.labels["kl"]) == (2, sample.labels["kl"])
     assert len({planned.knee for planned in asked}) == len({planned.name for planned in asked}) == 3
-    (again,) = make_person_samples(settings, tables, 0, "train")
+    (again,) = make_subject_samples(settings, tables, 0, "train")
     assert again.labels == {**sample.labels, "attempt": 0}
     monkeypatch.setattr(
-        "pssf.dataset.person_samples.make_sample", lambda *_: (_ for _ in ()).throw(pssf.InputError("no"))
+        "pssf.dataset.subject_samples.make_sample", lambda *_: (_ for _ in ()).throw(pssf.InputError("no"))
     )
     with pytest.raises(pssf.InputError, match="no"):
-        make_person_samples(settings, tables, 0, "train")
+        make_subject_samples(settings, tables, 0, "train")
 
 
 @pytest.mark.parametrize(
@@ -358,13 +367,14 @@ def test_a_person_whose_knee_cannot_be_built_is_sampled_again_with_the_same_grad
         (["--randomise", "gama"], "randomise must be one of mild, strong, affine"),
         (["--split", "0.5,0.5"], "split must be three fractions, such as 0.7,0.15,0.15, got '0.5,0.5'"),
         (["--split", "0.5,0.5,0.5"], "the sum 1, got 0.5, 0.5, 0.5"),
-        (["--pairs", "protocol"], "protocols must be two for pairs = protocol, got 1"),
+        (["--pairs", "protocol"], "protocols must be exactly two names for pairs = protocol, got 1"),
         (["--protocols", "bilateral"], "protocols must"),
         (["--crop-mm", "900"], "crop_mm must be at most"),
         (["--kinds", ""], "kinds must be one or more of linear, display, got none"),
         (["--layout", "zip"], "layout must be one of folder, shards, got 'zip'"),
         (["--images", "0"], "images must be"),
         (["--maps", "butter"], "maps must be"),
+        (["--engine", "ray"], "engine must be one of embree, scanline, got 'ray'"),
         ([], "out must be a folder for the data set, got out = none: add --out FOLDER"),
     ],
 )

@@ -55,7 +55,7 @@ def test_items_agree_with_the_files_of_the_data_set(folder):
                 assert item["masks"][value - 1][item["label_map"] == value].all()
 
 
-def test_a_stream_simulates_the_images_of_a_data_set_and_new_people_in_every_epoch(folder):
+def test_a_stream_simulates_the_images_of_a_data_set_and_new_subjects_in_every_epoch(folder):
     stored = {name: KneeDataset(folder, split) for split in ("train", "validation") for name in [split]}
     stored = {item["name"]: item for data in stored.values() for item in data}
     stream = KneeStream(SETTINGS)
@@ -87,7 +87,7 @@ def test_unsuitable_folders_and_parts_are_refused(folder, tmp_path):
         KneeDataset(tmp_path)
     with pytest.raises(pssf.InputError, match=r"epoch must be"):
         KneeStream(DatasetSettings(matrix=32)).set_epoch(-1)
-    with pytest.raises(pssf.InputError, match=r"got maps for settings without maps"):
+    with pytest.raises(pssf.InputError, match=r"keep must not contain maps"):
         KneeStream(DatasetSettings(matrix=32), keep=("maps",))
     make_dataset(DatasetSettings(images=1, matrix=32, layout="shards"), tmp_path, workers=1)
     with pytest.raises(pssf.InputError, match=r"layout must be folder, got layout = shards"):

@@ -3,16 +3,16 @@ r"""
 ======================
 
 In this lesson you make a data set for a network with one command: images, label maps, landmarks and a table of labels,
-divided by person into training, validation and test. This page makes 5 images of 128 x 128 pixels. **For 500 images,
-set** ``IMAGES = 500`` **and** ``MATRIX = 512``.
+divided by subject into training, validation and test sets. This page makes 5 images of 128 x 128 pixels. **For 500
+images of 512 x 512 pixels, set** ``IMAGES = 500`` **and** ``MATRIX = 512``.
 """
 
 # %%
 # Estimate the cost
 # -----------------
 #
-# With ``--dry-run``, the command ``pssf dataset`` simulates a few images and prints CPU time, disk space and number of
-# files of the complete data set. It writes nothing.
+# With ``--dry-run``, the command ``pssf dataset`` simulates a few images and estimates CPU time, run time, disk space
+# and number of files of the data set. It writes nothing.
 
 import csv
 import json
@@ -44,9 +44,9 @@ run_pssf("dataset", "--images", str(IMAGES), "--matrix", str(MATRIX), "--dry-run
 # Make the data set
 # -----------------
 #
-# By default, the knees have KL grades 0 to 4 with equal frequency, and are imaged in fixed flexion. Positioning, beam,
-# dose, field and display processing vary between images, as in a clinic. ``--split`` gives the fractions of people for
-# training, validation and test.
+# By default, the knees have KL grades 0 to 4 with equal frequency, and are imaged in fixed flexion. Positioning, kV,
+# mAs, collimated field and display processing vary between images, as in clinical practice. ``--split`` gives the
+# fractions of subjects for training, validation and test.
 
 run_pssf(
     "dataset", "--images", str(IMAGES), "--matrix", str(MATRIX), "--split", "0.6,0.2,0.2", "--seed", "3",
@@ -61,7 +61,7 @@ for path in sorted((work / "train").iterdir()):
 
 with (work / "train" / "index.csv").open(newline="") as file:
     rows = list(csv.DictReader(file))
-for row in rows:
+for row in rows[:5]:
     print(row["split"], row["name"], "KL", row["kl"], "medial", row["jsw_medial_mm"], "mm", row["side"])
 run_pssf("dataset", "verify", f"{work}/train")
 
@@ -69,12 +69,14 @@ run_pssf("dataset", "verify", f"{work}/train")
 # Look at images and labels
 # -------------------------
 #
-# Each image has four files: a linear 16-bit TIFF, a PNG that is processed for display, a label map, and a JSON file
-# with all labels. ``dataset.json`` contains the values of the label map, such as 1 for the femur and 2 for the tibia.
+# Each image has four files: a 16-bit TIFF that is linear in the absorbed energy, a PNG that is processed for display, a
+# label map, and a JSON file with all labels. ``dataset.json`` contains the values of the label map, such as 1 for the
+# femur and 2 for the tibia.
 
 folder = work / "train"
-figure, axes = plt.subplots(2, len(rows), figsize=(10, 4.6), layout="constrained")
-for row, (above, below) in zip(rows, axes.T, strict=True):
+shown = rows[:5]
+figure, axes = plt.subplots(2, len(shown), figsize=(10, 4.6), layout="constrained")
+for row, (above, below) in zip(shown, axes.T, strict=True):
     image, label_map = (
         np.asarray(Image.open(folder / row["split"] / kind / f"{row['name']}.png")) for kind in ("display", "label_map")
     )
@@ -88,8 +90,9 @@ for row, (above, below) in zip(rows, axes.T, strict=True):
         axis.set_axis_off()
 
 # %%
-# The label map has one value per pixel, but bones overlap in projection. The complete masks are in the JSON file and in
-# ``coco_train.json``, as instances in the form of COCO together with the landmarks as keypoints.
+# The label map has one value per pixel, but bones overlap in projection. The JSON file of an image
+# contains the complete masks as COCO instances. ``coco_train.json`` contains these instances and the landmarks as
+# keypoints.
 
 coco = json.loads((folder / "coco_train.json").read_text())
 print(sorted({one.get("name", "knee") for one in coco["annotations"]}))
@@ -110,5 +113,6 @@ print(sorted({one.get("name", "knee") for one in coco["annotations"]}))
 #     for batch in DataLoader(training, batch_size=16, shuffle=True):
 #         batch["image"], batch["label_map"], batch["landmarks_px"], batch["kl"]
 #
-# The examples ``train_pytorch``, ``train_monai`` and ``train_torchio`` of the gallery train three epochs. A network
-# that is trained on these images is not validated for use on patients. See :doc:`/explanation/limits`.
+# The examples ``train_pytorch``, ``train_monai`` and ``train_torchio`` of the gallery each train a network for three
+# epochs. A network that is trained on these images is not validated for use on patients. See
+# :doc:`/explanation/limits`.

@@ -22,7 +22,7 @@ def dataset(
         Path | None,
         typer.Option("--out", help="Output folder; created if it does not exist. Required, except with --dry-run."),
     ] = None,
-    images: Annotated[int, typer.Option(help="Number of images; rounded up to complete people.")] = 500,
+    images: Annotated[int, typer.Option(help="Number of images; rounded up to a whole number of subjects.")] = 500,
     seed: Seed = 0,
     matrix: Annotated[
         int, typer.Option(help="Number of pixels along the longer side of an image or crop; 0: as in the protocol.")
@@ -34,16 +34,23 @@ def dataset(
     grades: Annotated[
         str,
         typer.Option(
-            help="balanced (the same number of people of each KL grade) or prevalence (as in the baseline of the "
+            help="balanced (the same number of subjects of each KL grade) or prevalence (as in the baseline of the "
             "Osteoarthritis Initiative)."
         ),
     ] = "balanced",
-    both_knees: Annotated[bool, typer.Option("--both-knees", help="Image both knees of each person.")] = False,
+    both_knees: Annotated[bool, typer.Option("--both-knees", help="Image both knees of each subject.")] = False,
     acquisition: Annotated[
-        str, typer.Option(help="sampled or fixed; sampled varies positioning, beam, kV, mAs, field and marker.")
+        str,
+        typer.Option(
+            help="sampled or fixed; sampled varies positioning, beam angle, source-detector distance, kV, mAs, "
+            "field and marker."
+        ),
     ] = "sampled",
     equipment: Annotated[
-        str, typer.Option(help="nominal or sampled; sampled varies focal spot, filtration and grid.")
+        str,
+        typer.Option(
+            help="nominal or sampled; sampled varies focal spot, filtration, and the grid of protocols with a grid."
+        ),
     ] = "nominal",
     display: Annotated[
         str, typer.Option(help="Display processing of the 8-bit images: sampled, processed, log or film.")
@@ -52,33 +59,36 @@ def dataset(
         str, typer.Option(help="Kinds of images, separated by commas: linear (16-bit TIFF), display (8-bit PNG).")
     ] = "linear,display",
     crop_mm: Annotated[
-        float, typer.Option(help="Side of a square crop about the joint, on the detector, in mm; 0: whole images.")
+        float, typer.Option(help="Side of a square crop around the joint, on the detector, in mm; 0: whole images.")
     ] = 0.0,
     crop_shift_mm: Annotated[
-        float, typer.Option(help="Standard deviation of the shift of the crop in each direction, in mm.")
+        float,
+        typer.Option(
+            help="Standard deviation of the random shift of the crop in each direction, in mm; clipped at two SD."
+        ),
     ] = 3.0,
     split: Annotated[
-        str, typer.Option(help="Fractions of people for training, validation and test, separated by commas.")
+        str, typer.Option(help="Fractions of subjects for training, validation and test, separated by commas.")
     ] = "0.7,0.15,0.15",
     randomise: Annotated[
         str,
         typer.Option(
-            help="Random transforms of the finished images, separated by commas: affine, contrast, gamma, inversion, "
-            "blur, boxes, dropout, noise, or the recipes mild and strong."
+            help="Random transforms after the simulation, separated by commas; all except affine change only 8-bit "
+            "images: affine, contrast, gamma, inversion, blur, boxes, dropout, noise, or the recipes mild and strong."
         ),
     ] = "",
     pairs: Annotated[
         str,
         typer.Option(
-            help="Paired images of each knee: none, protocol (two protocols), lesion (with and without one lesion) or "
-            "visit (two visits)."
+            help="Paired images of each knee: none, protocol (exactly two --protocols), lesion (with and without one "
+            "lesion) or visit (two visits)."
         ),
     ] = "none",
     maps: Annotated[
         str, typer.Option(help="Materials whose path lengths are saved as maps in mm, separated by commas.")
     ] = "",
     layout: Annotated[str, typer.Option(help="folder (single files) or shards (tar files for WebDataset).")] = "folder",
-    shard_images: Annotated[int, typer.Option(help="Number of images per shard.")] = 100,
+    shard_images: Annotated[int, typer.Option(help="Target number of images per shard.")] = 100,
     parquet: Annotated[
         bool, typer.Option("--parquet", help="Also write index.parquet. Requires the extra parquet.")
     ] = False,
@@ -87,7 +97,9 @@ def dataset(
     dry_run: Annotated[
         bool,
         typer.Option(
-            "--dry-run", help="Make no data set; simulate a few images and print CPU time, disk space and files."
+            "--dry-run",
+            help="Simulate a few images, print the estimated CPU time, run time, disk space and number of files, and "
+            "write nothing.",
         ),
     ] = False,
 ) -> None:
@@ -106,20 +118,20 @@ def dataset(
         images=images,
         seed=seed,
         matrix=matrix,
-        protocols=_split(protocols),
+        protocols=_parse_names(protocols),
         grade_table=grade_table,
         grades=grades,
-        knees_per_person=2 if both_knees else 1,
+        knees_per_subject=2 if both_knees else 1,
         acquisition=acquisition,
         equipment=equipment,
         display=display,
-        kinds=_split(kinds),
+        kinds=_parse_names(kinds),
         crop_mm=crop_mm,
         crop_shift_mm=crop_shift_mm,
         split=_parse_fractions(split),
-        randomise=_split(randomise),
+        randomise=_parse_names(randomise),
         pairs=pairs,
-        maps=_split(maps),
+        maps=_parse_names(maps),
         layout=layout,
         shard_images=shard_images,
         parquet=parquet,
@@ -133,7 +145,7 @@ def dataset(
 
 @dataset_app.command()
 def verify(folder: Annotated[Path, typer.Argument(help="Folder of a data set written by pssf dataset.")]) -> None:
-    """Check every file of a data set against its hash.
+    """Check every file of a data set against its hash, and find missing and extra files.
 
     The command prints one line per fault. If there is a fault, the exit code is 2.
     """
@@ -158,7 +170,7 @@ def _make(settings: "DatasetSettings", out: Path | None, workers: int, scheduler
 
     if out is None:
         raise InputError("out must be a folder for the data set, got out = none: add --out FOLDER")
-    total = settings.person_count * settings.images_per_person
+    total = settings.subject_count * settings.images_per_subject
     with Execution(progress_bar=show_progress_bar).stage("images", "images", total) as stage:
         index = make_dataset(
             settings, out, workers=workers, scheduler=scheduler, progress=stage.advance, on_kept=stage.add_already_done
@@ -193,7 +205,7 @@ def _format_time(seconds: float) -> str:
     return f"{seconds / unit:,.1f} {name}"
 
 
-def _split(text: str) -> tuple[str, ...]:
+def _parse_names(text: str) -> tuple[str, ...]:
     """Split names at commas; an empty text gives no names."""
     return tuple(part.strip() for part in text.split(",")) if text else ()
 

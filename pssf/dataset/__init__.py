@@ -1,17 +1,17 @@
 """Make data sets of labelled images for networks: planning, simulation, crops, randomisation and label maps.
 
-DatasetSettings -> plan_person -> make_sample -> randomise -> files of `make_dataset`, or a stream of samples.
+DatasetSettings -> plan_subject -> make_sample -> randomise -> files of `make_dataset`, or a stream of samples.
 """
 
 from .cost_estimate import CostEstimate, estimate_cost
 from .dataset_maker import make_dataset
-from .dataset_plan import PlannedImage, count_parts, plan_person
+from .dataset_plan import PlannedImage, count_parts, plan_subject
 from .dataset_settings import DatasetSettings
 from .dataset_tables import DatasetTables, load_dataset_tables
 from .dataset_verification import verify_dataset
-from .person_samples import make_person_samples
 from .randomisation import RECIPES, TRANSFORMS, randomise
 from .sample import Sample, make_sample
+from .subject_samples import make_subject_samples
 
 __all__ = [
     "RECIPES",
@@ -25,9 +25,9 @@ __all__ = [
     "estimate_cost",
     "load_dataset_tables",
     "make_dataset",
-    "make_person_samples",
     "make_sample",
-    "plan_person",
+    "make_subject_samples",
+    "plan_subject",
     "randomise",
     "verify_dataset",
 ]

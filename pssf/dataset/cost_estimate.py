@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from .dataset_plan import count_parts
 from .dataset_settings import DatasetSettings
 from .dataset_tables import load_dataset_tables
-from .person_samples import make_person_samples
 from .sample_files import encode_sample
+from .subject_samples import make_subject_samples
 
-# Number of people that are simulated to measure the cost, besides one that is not measured.
-_MEASURED_PEOPLE = 5
+# Number of subjects that are simulated to measure the cost, besides one that is not measured.
+_MEASURED_SUBJECTS = 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,22 +56,20 @@ def estimate_cost(settings: DatasetSettings) -> CostEstimate:
     InputError
         If a table or protocol is unknown.
 
-    Notes
-    -----
-    In a balanced data set, the first people have all KL grades. Knees with osteophytes take longer, so the estimate of
-    a data set with other frequencies of the grades is less exact.
+    Notes ----- In a balanced data set, the first subjects have all KL grades. Knees with osteophytes take longer, so
+    the estimate of a data set with other frequencies of the grades is less exact.
     """
     tables, sizes, seconds, made = load_dataset_tables(settings), list[int](), 0.0, 0
-    for person in range(min(settings.person_count, _MEASURED_PEOPLE) + 1):
+    for subject in range(min(settings.subject_count, _MEASURED_SUBJECTS) + 1):
         before = time.process_time()
-        samples = make_person_samples(settings, tables, max(person - 1, 0), "train")
+        samples = make_subject_samples(settings, tables, max(subject - 1, 0), "train")
         files = [file for sample in samples for file in encode_sample(sample, settings, tables)]
-        # The first person is simulated twice, because the first simulation of a process also loads code and tables.
-        if person:
+        # The first subject is simulated twice, because the first simulation of a process also loads code and tables.
+        if subject:
             seconds += time.process_time() - before
             sizes += [len(content) for _, content in files]
             made += len(samples)
-    images = settings.person_count * settings.images_per_person
+    images = settings.subject_count * settings.images_per_subject
     parts = count_parts(settings)
     files_made = 2 * parts if settings.layout == "shards" else len(sizes) * images // made + parts
     return CostEstimate(

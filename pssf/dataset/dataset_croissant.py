@@ -12,7 +12,7 @@ _SPLIT_URLS = {"train" if name == "training" else name: url for name, url in cro
 # Meaning of the most important columns of index.csv.
 _COLUMNS = {
     "name": "Name of the image, and of its files.",
-    "person": "Person; all images of a person are in the same subset.",
+    "subject": "Subject; all images of a subject are in the same subset.",
     "split": "Subset.",
     "rows": "Number of rows, pixels.",
     "cols": "Number of columns, pixels.",
@@ -21,32 +21,43 @@ _COLUMNS = {
     "sex": "Sex, female or male.",
     "age_years": "Age, years.",
     "bmi": "Body mass index, kg/m2.",
-    "kl": "Label: Kellgren-Lawrence grade of the sampled knee, 0 to 4.",
+    "kl": "Kellgren-Lawrence grade, 0 to 4.",
     "kl_read": "Kellgren-Lawrence grade of a simulated reader.",
     "jsw_medial_mm": "Minimum medial joint space width on this image, mm.",
     "jsw_lateral_mm": "Minimum lateral joint space width on this image, mm.",
     "protocol": "Name of the protocol.",
-    "seed": "Seed of noise, crop, display processing and randomisation.",
+    "seed": "Seed of the noise.",
+    "appearance_seed": "Seed of crop, display processing and randomisation.",
+    "display": "Display processing of the 8-bit image.",
+    "warnings": "Warnings of the simulation, as JSON.",
+    "randomised": "Names of the applied random transforms, as JSON.",
+    "affine_matrix": "Matrix from (row, column) before to after the affine transform, as JSON.",
+    "affine_offset_px": "Offset added after the matrix, pixels, as JSON.",
+    "crop_top_px": "First row of the crop in the whole image, pixels.",
+    "crop_left_px": "First column of the crop in the whole image, pixels.",
+    "crop_whole_rows": "Number of rows of the whole image, pixels.",
+    "crop_whole_cols": "Number of columns of the whole image, pixels.",
     "pair": "Name that the two images of a pair share.",
     "role": "Position of the image in its pair, first or second.",
-    "attempt": "Number of earlier samples of this person whose knees could not be built.",
+    "attempt": "Number of failed attempts to build the knees of this subject.",
     "file": "Shard that contains the image.",
 }
 # Meaning of other columns, keyed by the beginning or end of their names.
 _PREFIXES = {
     "jsw_at_mm_": "Joint space width, mm, at a fraction of the femoral width: JSW(x), x =",
-    "readings_": "Grade or angle of the knee:",
+    "readings_": "Grade, angle or ratio of the knee:",
     "attrition_mm_": "Depth of wear of the plateau, mm:",
     "acquisition_": "Parameter of the acquisition:",
     "technique_": "Parameter of the X-ray equipment:",
     "display_": "Parameter of the display processing:",
-    "change_": "True difference between the two images of a pair:",
-    "crop_": "Position of the crop in the whole image, or size of the whole image, pixels:",
+    "change_": "Difference between the two images of a pair:",
     "knee_": "Field of the knee:",
 }
 
 
-def build_dataset_metadata(settings: DatasetSettings, summary: IndexSummary, sha256: str, size: int) -> dict[str, Any]:
+def build_croissant_metadata(
+    settings: DatasetSettings, summary: IndexSummary, sha256: str, size: int
+) -> dict[str, Any]:
     """Build the Croissant metadata of a data set.
 
     Parameters
@@ -79,7 +90,7 @@ def build_dataset_metadata(settings: DatasetSettings, summary: IndexSummary, sha
         "@type": "sc:Dataset",
         "conformsTo": croissant_elements.CONFORMS_TO,
         "name": "simulated-knee-radiographs",
-        "description": f"{summary.images} knee radiographs of {summary.people} people, simulated by pssf with "
+        "description": f"{summary.images} knee radiographs of {summary.subjects} subjects, simulated by pssf with "
         f"seed {settings.seed}; labels are true by construction. datasheet.md describes the data set.",
         "keywords": ["knee", "radiograph", "osteoarthritis", "simulation"],
         "isLiveDataset": False,
@@ -108,7 +119,7 @@ def _describe_column(name: str) -> str:
 def _describe_files(settings: DatasetSettings) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Describe the sets of files, and the record sets of images."""
     if settings.layout == "shards":
-        text = "Shards in the form of WebDataset; the files of one image have the same name up to the first dot."
+        text = "Shards in WebDataset format; the files of one image have the same name up to the first dot."
         return [croissant_elements.describe_file_set("shards", "application/x-tar", "*/*.tar", text)], []
     kinds = {
         "linear": ("image/tiff", "tif", "16-bit images, linear in the absorbed energy."),

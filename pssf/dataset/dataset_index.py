@@ -7,21 +7,28 @@ from typing import Any
 
 from ..io.atomic_write import write_bytes
 from ..io.cohort_records import hash_file, write_json
-from ..io.dataset_files import read_part, read_sample_labels
-from ..io.dataset_index_files import find_size, write_coco_file, write_index_table, write_parquet_table
-from .dataset_croissant import build_dataset_metadata
+from ..io.dataset_files import (
+    DESCRIPTION,
+    SETTINGS_FILE,
+    PartRecord,
+    read_part,
+    read_sample_labels,
+    write_part_record,
+)
+from ..io.dataset_index_files import get_file_size, write_coco_file, write_index_table, write_parquet_table
+from .coco_instances import make_annotations, make_categories
+from .dataset_croissant import build_croissant_metadata
 from .dataset_plan import count_parts
 from .dataset_settings import SPLITS, DatasetSettings
 from .dataset_summary import summarise_index
 from .dataset_tables import DatasetTables
 from .datasheet import render_dataset_datasheet
-from .instances import make_annotations, make_categories
 
 Row = dict[str, Any]
 
 
-def write_index(settings: DatasetSettings, tables: DatasetTables, folder: Path) -> Path:
-    """Write index, Croissant metadata, datasheet, and for single files one COCO file per subset.
+def write_description(settings: DatasetSettings, tables: DatasetTables, folder: Path) -> Path:
+    """Write index, Croissant metadata and datasheet; with single files, also one COCO file per subset with images.
 
     The parts are read one at a time.
 
@@ -47,16 +54,21 @@ def write_index(settings: DatasetSettings, tables: DatasetTables, folder: Path) 
     # The columns are collected first, because images of different views have different landmarks.
     summary, path = summarise_index(_iterate_flat_rows(settings, folder)), folder / "index.csv"
     write_index_table(path, list(summary.columns), _iterate_flat_rows(settings, folder))
+    names = [path.name, "croissant.json", "datasheet.md"]
     if settings.parquet:
+        names.append("index.parquet")
         write_parquet_table(folder / "index.parquet", summary.columns, _iterate_flat_rows(settings, folder))
     if settings.layout == "folder":
         for split in SPLITS:
-            _write_coco(settings, tables, folder, split)
+            names += _write_coco(settings, tables, folder, split)
     write_json(
         folder / "croissant.json",
-        build_dataset_metadata(settings, summary, hash_file(path), find_size(path)),
+        build_croissant_metadata(settings, summary, hash_file(path), get_file_size(path)),
     )
     write_bytes(folder / "datasheet.md", render_dataset_datasheet(settings, tables, summary).encode())
+    hashes = {name: hash_file(folder / name) for name in names}
+    claim = hash_file(folder / SETTINGS_FILE)
+    write_part_record(folder, DESCRIPTION, PartRecord(rows=[], files=hashes, settings_sha256=claim))
     return path
 
 
@@ -113,12 +125,12 @@ def _iterate_flat_rows(settings: DatasetSettings, folder: Path) -> Iterator[Row]
     return (flatten_row(row) for row in iterate_rows(settings, folder))
 
 
-def _write_coco(settings: DatasetSettings, tables: DatasetTables, folder: Path, split: str) -> None:
-    """Write the COCO file of a subset image by image."""
+def _write_coco(settings: DatasetSettings, tables: DatasetTables, folder: Path, split: str) -> list[str]:
+    """Write the COCO file of a subset image by image, and return its name; no file for a subset without images."""
     rows = _iterate_split(settings, folder, split)
     keypoints = list(dict.fromkeys(name for row in rows for name in row["landmarks_px"]))
     if not keypoints:
-        return
+        return []
     kind, suffix = ("display", "png") if "display" in settings.kinds else ("linear", "tif")
     images = (
         {
@@ -136,6 +148,7 @@ def _write_coco(settings: DatasetSettings, tables: DatasetTables, folder: Path, 
         images=images,
         annotations=_iterate_annotations(settings, folder, split, keypoints),
     )
+    return [f"coco_{split}.json"]
 
 
 def _iterate_split(settings: DatasetSettings, folder: Path, split: str) -> Iterator[Row]:

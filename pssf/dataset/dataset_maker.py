@@ -15,12 +15,12 @@ from ..io.cohort_records import claim_folder
 from ..io.dataset_index_files import require_parquet
 from ..model.protocol import protocol_to_dict
 from ..simulation import collect_versions
-from .dataset_index import write_index
+from .dataset_index import write_description
 from .dataset_plan import count_parts, find_part
 from .dataset_settings import DatasetSettings
 from .dataset_tables import DatasetTables, load_dataset_tables
-from .person_samples import make_person_samples
 from .sample_files import collect_labels, encode_sample
+from .subject_samples import make_subject_samples
 
 # Subpackages and modules that affect the files of a data set; dataset.json stores their hashes.
 _CODE_PATHS = (
@@ -105,7 +105,7 @@ def make_dataset(
         on_result=lambda index, made: progress(made),
     )
     _remove_temporary_files(folder)
-    return write_index(settings, tables, folder)
+    return write_description(settings, tables, folder)
 
 
 def make_part(index: int, settings: DatasetSettings, tables: DatasetTables, site: RunEnvironment) -> int:
@@ -137,8 +137,8 @@ def make_part(index: int, settings: DatasetSettings, tables: DatasetTables, site
 
     def make_files() -> Iterator[tuple[str, bytes]]:
         """Yield the files of all images of the part, and collect the rows of the index."""
-        for person in range(part.first, part.first + part.count):
-            for sample in make_person_samples(settings, tables, person, part.split):
+        for subject in range(part.first, part.first + part.count):
+            for sample in make_subject_samples(settings, tables, subject, part.split):
                 rows.append(collect_labels(sample))
                 yield from encode_sample(sample, settings, tables)
 
@@ -163,7 +163,7 @@ def _find_missing_parts(
         record = dataset_files.read_part(folder, index, claim)
         if record is None:
             return None
-        faults = list(dataset_files.list_faults(folder, record))
+        faults = list(dataset_files.iterate_faults(folder, record))
         changed = [fault for fault in faults if fault.endswith("changed")]
         if changed:
             hint = f"delete {dataset_files.record_path(folder, index)} to make its part again"

@@ -16,9 +16,9 @@ from .dataset_settings import SPLITS, DatasetSettings
 from .dataset_tables import DatasetTables
 
 # The following keys separate the random streams of a data set. A stream is identified by the key and a number.
-_GRADES, _BODY, _KNEE, _ACQUISITION, _NOISE, _PAIR, _ATTEMPT, _EQUIPMENT = range(8)
-# Number of people of a part if images are written as single files.
-_PEOPLE_PER_PART = 4
+_GRADES, _BODY, _KNEE, _ACQUISITION, _NOISE, _PAIR, _ATTEMPT, _EQUIPMENT, _APPEARANCE = range(9)
+# Number of subjects of a part if images are written as single files.
+_SUBJECTS_PER_PART = 4
 # Time between the two visits of a pair, in years.
 _VISIT_RANGE_YEARS = (1.0, 8.0)
 # Size of an osteophyte that distinguishes the two knees of a pair, in mm.
@@ -33,30 +33,34 @@ class PlannedImage:
     ----------
     name : str
         Name of the image, 16 hexadecimal digits that do not depend on its content.
-    person : str
-        Name of the person, 16 hexadecimal digits.
+    subject : str
+        Name of the subject, 16 hexadecimal digits.
     split : {"train", "validation", "test"}
-        Subset to which all images of the person belong.
+        Subset to which all images of the subject belong.
     knee : Knee
         Parameters of the knee.
     protocol : Protocol
         Protocol of the acquisition.
     seed : int
-        Seed of noise, crop, display processing and randomisation.
+        Seed of the noise.
+    appearance_seed : int
+        Seed of crop, display processing and randomisation.
     pair : str
         Name that the two images of a pair share; empty if the data set has no pairs.
     role : {"", "first", "second"}
         Position of the image in its pair.
     change : mapping of str to object
-        True difference between the two images of a pair, second minus first.
+        Difference between the two images of a pair: values at the second visit minus the first, the changed lesion, or
+        both protocol names.
     """
 
     name: str
-    person: str
+    subject: str
     split: str
     knee: Knee
     protocol: Protocol
     seed: int
+    appearance_seed: int
     pair: str = ""
     role: str = ""
     change: Mapping[str, Any] = field(default_factory=dict)
@@ -64,20 +68,20 @@ class PlannedImage:
 
 @dataclass(frozen=True)
 class Part:
-    """Range of people whose images are made together.
+    """Range of subjects whose images are made together.
 
     Attributes
     ----------
     index : int
         Index of the part in the data set.
     split : str
-        Subset to which the people belong.
+        Subset to which the subjects belong.
     split_index : int
         Index of the part in its subset.
     first : int
-        Number of the first person.
+        Number of the first subject.
     count : int
-        Number of people.
+        Number of subjects.
     """
 
     index: int
@@ -100,12 +104,12 @@ def count_parts(settings: DatasetSettings) -> int:
     int
         Number of parts.
     """
-    size = _count_people_per_part(settings)
-    return sum(-(-count // size) for _, count in _assign_people(settings).values())
+    size = _count_subjects_per_part(settings)
+    return sum(-(-count // size) for _, count in _assign_subjects(settings).values())
 
 
 def find_part(settings: DatasetSettings, index: int) -> Part:
-    """Find the people of a part. No part contains people of two subsets.
+    """Find the subjects of a part. No part contains subjects of two subsets.
 
     Parameters
     ----------
@@ -117,15 +121,15 @@ def find_part(settings: DatasetSettings, index: int) -> Part:
     Returns
     -------
     Part
-        Subset and people of the part.
+        Subset and subjects of the part.
 
     Raises
     ------
     IndexError
         If the data set has fewer parts.
     """
-    size, before = _count_people_per_part(settings), 0
-    for split, (first, count) in _assign_people(settings).items():
+    size, before = _count_subjects_per_part(settings), 0
+    for split, (first, count) in _assign_subjects(settings).items():
         parts = -(-count // size)
         if 0 <= index - before < parts:
             offset = (index - before) * size
@@ -134,10 +138,10 @@ def find_part(settings: DatasetSettings, index: int) -> Part:
     raise IndexError(f"part must be an index below {before}, got {index}")
 
 
-def plan_person(
-    settings: DatasetSettings, tables: DatasetTables, person: int, split: str, *, attempt: int = 0
+def plan_subject(
+    settings: DatasetSettings, tables: DatasetTables, subject: int, split: str, *, attempt: int = 0
 ) -> list[PlannedImage]:
-    """Sample the knees of one person and their acquisitions.
+    """Sample the knees of one subject and their acquisitions.
 
     Parameters
     ----------
@@ -145,41 +149,41 @@ def plan_person(
         Settings of the data set.
     tables : DatasetTables
         Result of `load_dataset_tables`.
-    person : int
-        Number of the person.
+    subject : int
+        Number of the subject.
     split : str
-        Subset to which the person belongs.
+        Subset to which the subject belongs.
     attempt : int
-        Number of earlier plans of this person whose knees could not be built. The grade is the same in every attempt.
+        Number of earlier plans of this subject whose knees could not be built. The grade is the same in every attempt.
 
     Returns
     -------
     list of PlannedImage
-        Images of the person.
+        Images of the subject.
 
     Notes
     -----
-    The images of a person depend only on the seed, the number of the person and the attempt. Both knees of a person
-    share the properties of the body (`sample_knee_pair`).
+    For the same settings, the images of a subject do not depend on the number of images, the split or the number of
+    workers. Both knees of a subject share the properties of the body (`sample_knee_pair`).
     """
-    grade = _sample_grade(settings, tables, person)
+    grade = _sample_grade(settings, tables, subject)
     if attempt:
         settings = replace(settings, seed=int(_stream(settings.seed, attempt, _ATTEMPT).integers(2**63)))
-    shared = sample_shared_fields(tables.distributions, grade=grade, rng=_stream(settings.seed, person, _BODY))
-    rng = _stream(settings.seed, person, _KNEE)
-    sides = ("right", "left") if settings.knees_per_person == 2 else (("right", "left")[int(rng.integers(2))],)
+    shared = sample_shared_fields(tables.distributions, grade=grade, rng=_stream(settings.seed, subject, _BODY))
+    rng = _stream(settings.seed, subject, _KNEE)
+    sides = ("right", "left") if settings.knees_per_subject == 2 else (("right", "left")[int(rng.integers(2))],)
     images = []
     for turn, side in enumerate(sides):
-        of_knee = _stream(settings.seed, person, _KNEE, turn)
+        of_knee = _stream(settings.seed, subject, _KNEE, turn)
         knee = sample_knee_from_distributions(tables.distributions, grade=grade, rng=of_knee, **shared, side=side)
-        images += _plan_knee(settings, tables, (person, turn), split, knee)
+        images += _plan_knee(settings, tables, (subject, turn), split, knee)
     return images
 
 
 def _plan_knee(
     settings: DatasetSettings, tables: DatasetTables, at: tuple[int, int], split: str, knee: Knee
 ) -> list[PlannedImage]:
-    """Plan the image of a knee, or its pair of images; `at` is the number of the person and of the knee."""
+    """Plan the image of a knee, or its pair of images; `at` is the number of the subject and of the knee."""
     chance = _stream(settings.seed, *at, _PAIR)
     nominal = tables.protocols[int(chance.integers(len(tables.protocols)))]
     if settings.pairs == "none":
@@ -210,9 +214,10 @@ def _plan_image(
     knee: Knee,
     nominal: Protocol,
 ) -> PlannedImage:
-    """Sample the acquisition of one image; `at` is the number of the person, the knee and the image.
+    """Sample the acquisition of one image; `at` is the number of the subject, the knee and the image.
 
-    The two images of a lesion pair have the same acquisition, so that the lesion is the only difference besides noise.
+    The two images of a lesion pair have the same acquisition, crop, display processing and randomisation, so that the
+    lesion is the only difference besides noise.
     """
     place = (*at[:2], 0 if settings.pairs == "lesion" else at[2])
     if settings.equipment == "sampled":
@@ -221,11 +226,12 @@ def _plan_image(
         nominal = sample_acquisition(nominal, rng=_stream(settings.seed, *place, _ACQUISITION), side=knee.side)
     return PlannedImage(
         name=_make_name(settings.seed, "image", *at),
-        person=_make_name(settings.seed, "person", at[0]),
+        subject=_make_name(settings.seed, "subject", at[0]),
         split=split,
         knee=knee,
         protocol=nominal,
-        seed=int(_stream(settings.seed, *at, _NOISE).integers(2**63)),
+        seed=_sample_seed(settings, *at, _NOISE),
+        appearance_seed=_sample_seed(settings, *place, _APPEARANCE),
     )
 
 
@@ -254,28 +260,33 @@ def _change_one_lesion(knee: Knee, rng: np.random.Generator) -> tuple[Knee, dict
     return replace(knee, **kept, grade=None), {"lesion": kind, "added": False, "site": lost.site, "size_mm": size}
 
 
-def _sample_grade(settings: DatasetSettings, tables: DatasetTables, person: int) -> int:
-    """Return the grade of a person: balanced within blocks of people, or sampled with the prevalence."""
+def _sample_grade(settings: DatasetSettings, tables: DatasetTables, subject: int) -> int:
+    """Return the grade of a subject: balanced within blocks of subjects, or sampled with the prevalence."""
     grades = tables.distributions.grades.grades
     if settings.grades == "balanced":
-        block, place = divmod(person, len(grades))
+        block, place = divmod(subject, len(grades))
         return int(_stream(settings.seed, block, _GRADES).permutation(grades)[place])
     weights = np.array([tables.definitions.grades.prevalence[grade] for grade in grades])
-    return int(_stream(settings.seed, person, _GRADES).choice(grades, p=weights / weights.sum()))
+    return int(_stream(settings.seed, subject, _GRADES).choice(grades, p=weights / weights.sum()))
 
 
-def _assign_people(settings: DatasetSettings) -> dict[str, tuple[int, int]]:
-    """Return number of the first person and number of people for each subset."""
-    ends = [round(settings.person_count * total) for total in np.cumsum(settings.split).tolist()]
+def _assign_subjects(settings: DatasetSettings) -> dict[str, tuple[int, int]]:
+    """Return number of the first subject and number of subjects for each subset."""
+    ends = [round(settings.subject_count * total) for total in np.cumsum(settings.split).tolist()]
     starts = [0, *ends[:-1]]
     return {split: (start, end - start) for split, start, end in zip(SPLITS, starts, ends, strict=True)}
 
 
-def _count_people_per_part(settings: DatasetSettings) -> int:
-    """Count the people of a part: those of a shard, or a few people if images are single files."""
+def _count_subjects_per_part(settings: DatasetSettings) -> int:
+    """Count the subjects of a part: those of a shard, or a few subjects if images are single files."""
     if settings.layout == "shards":
-        return max(1, settings.shard_images // settings.images_per_person)
-    return _PEOPLE_PER_PART
+        return max(1, settings.shard_images // settings.images_per_subject)
+    return _SUBJECTS_PER_PART
+
+
+def _sample_seed(settings: DatasetSettings, *key: int) -> int:
+    """Sample a seed that every reader of JSON represents exactly, because it is below 2**53."""
+    return int(_stream(settings.seed, *key).integers(2**53))
 
 
 def _make_name(seed: int, kind: str, *numbers: int) -> str:

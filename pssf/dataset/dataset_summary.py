@@ -19,13 +19,13 @@ class IndexSummary:
         Kind of values of each column, in the order of the columns.
     counts : Counter
         Number of images, keyed by subset and KL grade.
-    people : int
-        Number of people.
+    subjects : int
+        Number of subjects.
     """
 
     columns: dict[str, str] = field(default_factory=dict)
     counts: Counter[tuple[str, int]] = field(default_factory=Counter)
-    people: int = 0
+    subjects: int = 0
 
     @property
     def images(self) -> int:
@@ -39,7 +39,7 @@ def summarise_index(rows: Iterable[Mapping[str, Any]]) -> IndexSummary:
     Parameters
     ----------
     rows : iterable of mapping of str to object
-        Values keyed by column. Rows of one person follow each other.
+        Values keyed by column. Rows of one subject follow each other.
 
     Returns
     -------
@@ -49,15 +49,15 @@ def summarise_index(rows: Iterable[Mapping[str, Any]]) -> IndexSummary:
     summary, last = IndexSummary(), None
     for row in rows:
         for name, value in row.items():
-            summary.columns[name] = _join_kinds(summary.columns.get(name), _find_kind(value))
+            summary.columns[name] = _join_kinds(summary.columns.get(name), _find_mask_class(value))
         summary.counts[row["split"], row["kl"]] += 1
-        summary.people += row["person"] != last
-        last = row["person"]
+        summary.subjects += row["subject"] != last
+        last = row["subject"]
     summary.columns = {name: kind or TEXT for name, kind in summary.columns.items()}
     return summary
 
 
-def _find_kind(value: Any) -> str:
+def _find_mask_class(value: Any) -> str:
     """Return the kind of a value; empty for None, which fits every kind."""
     kinds = ((type(None), ""), (bool, BOOLEAN), (int, INTEGER), (float, DECIMAL))
     return next((kind for of, kind in kinds if isinstance(value, of)), TEXT)

@@ -6,13 +6,13 @@ from typing import Any
 from ..core.checks import InputError
 from ..data.user_files import read_json
 from ..io.cohort_records import hash_file
-from ..io.dataset_files import SETTINGS_FILE, list_faults, read_part
+from ..io.dataset_files import DESCRIPTION, SETTINGS_FILE, iterate_faults, list_files, read_part, record_path
 from .dataset_plan import count_parts
 from .dataset_settings import DatasetSettings, read_settings
 
 
 def verify_dataset(folder: str | Path) -> tuple[int, list[str]]:
-    """Verify that a data set is complete and that its files are unchanged.
+    """Verify that a data set is complete, that its files are unchanged, and that it contains no other files.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def verify_dataset(folder: str | Path) -> tuple[int, list[str]]:
     images : int
         Number of images in finished parts.
     faults : list of str
-        One line for each missing or changed file and each unfinished part.
+        One line for each missing, changed or extra file and each unfinished part.
 
     Raises
     ------
@@ -34,17 +34,17 @@ def verify_dataset(folder: str | Path) -> tuple[int, list[str]]:
     folder = Path(folder)
     settings = read_dataset_settings(folder)
     claim = hash_file(folder / SETTINGS_FILE)
-    images, faults = 0, list[str]()
-    for index in range(count_parts(settings)):
+    images, faults, known = 0, list[str](), {SETTINGS_FILE}
+    # The last record lists the files that describe the complete data set.
+    for index in (*range(count_parts(settings)), DESCRIPTION):
         record = read_part(folder, index, claim)
         if record is None:
-            faults.append(f"part {index}: not finished")
-        else:
-            images += len(record.rows)
-            faults += list_faults(folder, record)
-    if not (folder / "index.csv").exists():
-        faults.append("index.csv: missing")
-    return images, faults
+            faults.append("index.csv: not finished" if index == DESCRIPTION else f"part {index}: not finished")
+            continue
+        images += len(record.rows)
+        faults += iterate_faults(folder, record)
+        known |= {*record.files, record_path(folder, index).relative_to(folder).as_posix()}
+    return images, [*faults, *(f"{name}: not part of the data set" for name in list_files(folder) if name not in known)]
 
 
 def read_dataset_settings(folder: Path) -> DatasetSettings:
@@ -65,7 +65,36 @@ def read_dataset_settings(folder: Path) -> DatasetSettings:
     InputError
         If the folder contains no data set, or the file is damaged.
     """
+    return read_settings(_read_specification(folder).get("settings"), folder / SETTINGS_FILE)
+
+
+def read_label_map(folder: Path) -> dict[str, int]:
+    """Read the values of the label map from the folder of a data set.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the data set.
+
+    Returns
+    -------
+    dict of str to int
+        Value of each class.
+
+    Raises
+    ------
+    InputError
+        If the folder contains no data set, or the file is damaged.
+    """
+    values = _read_specification(folder).get("label_map")
+    if not isinstance(values, dict) or not all(isinstance(value, int) for value in values.values()):
+        raise InputError(f"file {folder / SETTINGS_FILE} must contain the values of the label map, got {values!r}")
+    return dict(values)
+
+
+def _read_specification(folder: Path) -> dict[str, Any]:
+    """Read the file that specifies a data set."""
     if not (folder / SETTINGS_FILE).exists():
         raise InputError(f"folder must contain a data set made by pssf dataset, got {folder} without {SETTINGS_FILE}")
     specified: dict[str, Any] = read_json(folder / SETTINGS_FILE, dict[str, Any])
-    return read_settings(specified.get("settings"), folder / SETTINGS_FILE)
+    return specified

@@ -8,18 +8,18 @@ from .dataset_tables import DatasetTables
 
 _TEXT = """# Datasheet
 
-{images} simulated knee radiographs of {people} people. The headings follow Gebru et al., Datasheets for datasets
+{images} simulated knee radiographs of {subjects} subjects. The headings follow Gebru et al., Datasheets for datasets
 (Communications of the ACM, 2021).
 
 ## Motivation
 
-The data set is for the training and test of methods that read knee radiographs. Every label is true by construction,
-because it is computed from the simulated knee.
+The data set is for training and testing methods that analyse knee radiographs. Except for the grade of the simulated
+reader, every label is computed from the simulated knee, and therefore true by construction.
 
 ## Composition
 
 Each instance is one radiograph. No person was imaged: knees are sampled from the grade table `{grade_table}`, and
-images are simulated from physics. A person has {knees} knee(s). Number of images:
+images are simulated with a physical model. Imaged knees per subject: {knees}. Number of images by KL grade and subset:
 
 | KL grade | {splits} |
 | --- |{rules}
@@ -27,25 +27,29 @@ images are simulated from physics. A person has {knees} knee(s). Number of image
 
 - **Images**: {kinds}; {size}.
 - **Protocols**: {protocols}. Acquisition: {acquisition}; X-ray equipment: {equipment}; display processing: {display}.
-- **Random transforms** after the simulation: {randomise}.
+- **Random transforms** after the simulation: {randomise}. All except `affine` change only 8-bit images.
 - **Pairs**: {pairs}.
 - **Label maps** (`label_map`): {legend}. Later values cover earlier values; the masks themselves, which may overlap,
   are COCO instances.
 - **Labels**: KL grade and grade of a simulated reader, OARSI grades, joint space widths on this image, landmarks,
   alignment, posture, acquisition, and all fields of the knee. A label that a view does not have is missing.
-- **Splits** are by person. Names are hashes, so that neither order nor name predicts a label.
+- **Subsets** are divided by subject. Names are hashes, and the order of the grades is random, so that neither name nor
+  order predicts a label.
 
-The grade is the grade for which a knee was sampled. The anatomy of neighbouring grades overlaps, as in patients, and no
-reader has graded the images. An image alone therefore does not determine the grade.
+The KL grade is the grade for which a knee was sampled. In lesion and visit pairs, the grade of the second image follows
+from the changed anatomy. The anatomy of neighbouring grades overlaps, as in patients, so that an image alone does not
+determine the grade. No human reader graded the images.
 
 ## Collection process
 
 `pssf dataset` made the data set from the seed {seed}. `dataset.json` contains all settings, protocols, versions of
-libraries and hashes of code; the same versions make the same bytes. No ethics review applies.
+libraries and hashes of code. The same settings, code and library versions give byte-identical files. No ethics review
+applies.
 
 ## Preprocessing, cleaning, labelling
 
-No image was removed. If a knee could not be built, the person was sampled again; the label `attempt` counts this.
+No simulated image was removed. If a knee could not be built, the subject was sampled again; the label `attempt` counts
+failed attempts.
 
 ## Uses
 
@@ -79,12 +83,12 @@ def render_dataset_datasheet(settings: DatasetSettings, tables: DatasetTables, s
     """
     grades = sorted({grade for _, grade in summary.counts})
     rows = [[str(grade), *(str(summary.counts[split, grade]) for split in SPLITS)] for grade in grades]
-    crop = f"square crops of {settings.crop_mm:g} mm about the joint" if settings.crop_mm else "whole images"
+    crop = f"square crops of {settings.crop_mm:g} mm around the joint" if settings.crop_mm else "whole images"
     return _TEXT.format(
         images=summary.images,
-        people=summary.people,
+        subjects=summary.subjects,
         grade_table=settings.grade_table,
-        knees=settings.knees_per_person,
+        knees=settings.knees_per_subject,
         splits=" | ".join(SPLITS),
         rules=" --- |" * len(SPLITS),
         table="\n".join(f"| {' | '.join(row)} |" for row in rows),
@@ -98,7 +102,7 @@ def render_dataset_datasheet(settings: DatasetSettings, tables: DatasetTables, s
         pairs=settings.pairs,
         legend=_list_values(tables.definitions.label_map),
         seed=settings.seed,
-        balance="; the grades are balanced" if settings.grades == "balanced" else "",
+        balance=", because its grades are balanced" if settings.grades == "balanced" else "",
     )
 
 

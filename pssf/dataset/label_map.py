@@ -15,8 +15,8 @@ def add_joint_space_masks(
 ) -> dict[str, NDArray[np.bool_]]:
     """Add the masks ``medial_joint_space`` and ``lateral_joint_space`` in a frontal view.
 
-    A joint space contains the pixels below the femur and above the tibia in the same column. It has the
-    columns in which the JSW is measured: from 36 to 85 % of half the width between the plateau edges.
+    A joint space contains the pixels below the femur and above the tibia in the same column. It covers
+    the columns in which the JSW is measured: 36 to 85 % of the distance from the middle of the plateau to its edge.
 
     Parameters
     ----------
@@ -46,14 +46,14 @@ def add_joint_space_masks(
 
 
 def draw_label_map(masks: Masks, values: Mapping[str, int], shape: tuple[int, ...]) -> NDArray[np.uint8]:
-    """Draw all masks into one image with one value per kind of part.
+    """Draw all masks into one image with one value per class.
 
     Parameters
     ----------
     masks : mapping of str to (rows, cols) bool array
-        Masks keyed by name. The kind of a mask is its name, or the end of its name, such as "osteophyte".
+        Masks keyed by name. The class of a mask is its name, or the end of its name, such as "osteophyte".
     values : mapping of str to int
-        Value of each kind, in the order in which the kinds are drawn.
+        Value of each class, in the order in which the classes are drawn.
     shape : tuple of int
         Number of rows and columns.
 
@@ -65,24 +65,24 @@ def draw_label_map(masks: Masks, values: Mapping[str, int], shape: tuple[int, ..
     drawn = np.zeros(shape, np.uint8)
     for kind, value in values.items():
         for name, mask in masks.items():
-            if find_kind(name, values) == kind:
+            if find_mask_class(name, values) == kind:
                 drawn[mask] = value
     return drawn
 
 
-def find_kind(name: str, values: Mapping[str, int]) -> str:
-    """Return the kind of a mask: a bone, ``joint_space``, ``osteophyte``, ``cyst``, or ``implant`` for all others.
+def find_mask_class(name: str, values: Mapping[str, int]) -> str:
+    """Return the class of a mask: a bone, ``joint_space``, ``osteophyte``, ``cyst``, or ``implant`` for all others.
 
     Parameters
     ----------
     name : str
         Name of the mask.
     values : mapping of str to int
-        Values keyed by kind.
+        Values keyed by class.
 
     Returns
     -------
     str
-        Kind.
+        Class.
     """
     return next((kind for kind in values if name == kind or name.endswith(f"_{kind}")), "implant")

@@ -1,4 +1,4 @@
-"""Domain randomisation: named random transforms of a finished image, with labels that follow.
+"""Domain randomisation: random transforms of a simulated image and its labels.
 
 The transforms follow Gao et al. 2023 (SyntheX, Nat Mach Intell 5:294), who trained networks on simulated radiographs
 alone: noise, gamma, affine transform, inversion, boxes, blur, contrast curves and coarse dropout.
@@ -50,10 +50,10 @@ def randomise(sample: "Sample", transforms: Sequence[str], rng: Generator) -> "S
     names = resolve_transforms(transforms)
     # Each transform has a generator of its own, so that adding a transform does not change the others.
     for name, chance in zip(names, rng.spawn(len(names)), strict=True):
-        if name == "affine":
+        if name == AFFINE:
             sample, grey = _transform_affine(sample, grey, chance)
         else:
-            grey = TRANSFORMS[name](grey, chance)
+            grey = GREY_TRANSFORMS[name](grey, chance)
     display = np.rint(np.clip(grey, 0, 1) * 255).astype(np.uint8)
     return replace(sample, display=display, labels={**sample.labels, "randomised": list(names)})
 
@@ -97,7 +97,7 @@ def _change_gamma(grey: Grey, rng: Generator) -> Grey:
 
 
 def _invert(grey: Grey, rng: Generator) -> Grey:
-    """Invert the grey levels of every second image."""
+    """Invert the grey levels with probability 0.5."""
     return 1 - grey if rng.random() < 0.5 else grey
 
 
@@ -115,7 +115,7 @@ def _draw_boxes(grey: Grey, rng: Generator) -> Grey:
     return changed
 
 
-def _drop_coarsely(grey: Grey, rng: Generator) -> Grey:
+def _drop_cells(grey: Grey, rng: Generator) -> Grey:
     """Replace up to 10 % of the squares of a coarse grid by noise (coarse dropout)."""
     side = max(1, round(grey.shape[0] * rng.uniform(0.01, 0.05)))
     cells = rng.random([-(-length // side) for length in grey.shape]) < rng.uniform(0, 0.1)
@@ -124,7 +124,7 @@ def _drop_coarsely(grey: Grey, rng: Generator) -> Grey:
     return np.where(dropped, noise, grey)
 
 
-def _bend_contrast(grey: Grey, rng: Generator) -> Grey:
+def _apply_contrast_curve(grey: Grey, rng: Generator) -> Grey:
     """Map the grey levels by a monotone curve through random points."""
     steps = rng.dirichlet(np.full(6, 4.0))
     curve = np.concatenate(([0.0], np.cumsum(steps)))
@@ -161,7 +161,7 @@ def _transform_affine(sample: "Sample", grey: Grey, rng: Generator) -> tuple["Sa
     def move_mask(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Move a mask and keep its pixels for which the interpolated mask is at least one half."""
         return ndimage.affine_transform(
-            mask.astype(np.float32), inverse, -inverse @ offset, order=1, mode="constant"
+            mask.astype(np.float32), inverse, -inverse @ offset, order=1, mode="nearest"
         ) >= 0.5  # fmt: skip
 
     places = {name: matrix @ np.array(place) + offset for name, place in sample.landmarks_px.items()}
@@ -179,19 +179,21 @@ def _transform_affine(sample: "Sample", grey: Grey, rng: Generator) -> tuple["Sa
     return moved, np.asarray(resample(grey, 1), np.float32)
 
 
-# Transforms of grey levels, and the affine transform, keyed by name.
-TRANSFORMS: dict[str, Callable[[Grey, Generator], Grey]] = {
-    "affine": lambda grey, rng: grey,
-    "contrast": _bend_contrast,
+# Name of the transform that also moves linear image, masks, maps and landmarks.
+AFFINE = "affine"
+# Transforms of grey levels, keyed by name.
+GREY_TRANSFORMS: dict[str, Callable[[Grey, Generator], Grey]] = {
+    "contrast": _apply_contrast_curve,
     "gamma": _change_gamma,
     "inversion": _invert,
     "blur": _blur,
     "boxes": _draw_boxes,
-    "dropout": _drop_coarsely,
+    "dropout": _drop_cells,
     "noise": _add_noise,
 }
+TRANSFORMS = (AFFINE, *GREY_TRANSFORMS)
 # Recipes: lists of transforms, keyed by name.
 RECIPES: dict[str, tuple[str, ...]] = {
-    "mild": ("affine", "gamma", "blur", "noise"),
-    "strong": tuple(TRANSFORMS),
+    "mild": (AFFINE, "gamma", "blur", "noise"),
+    "strong": TRANSFORMS,
 }

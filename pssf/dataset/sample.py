@@ -34,14 +34,14 @@ class Sample:
 
     Attributes
     ----------
-    name, person, split : str
-        Names of image and person, and subset.
+    name, subject, split : str
+        Names of image and subject, and subset.
     linear : (rows, cols) uint16 array
         Pixel values, linear in the absorbed energy.
     display : (rows, cols) uint8 array
         Image processed for display, with bright bone.
     label_map : (rows, cols) uint8 array
-        One value per kind of part; see `data.imaging.dataset_table`.
+        Class of each pixel; see `data.imaging.dataset_table`.
     masks : mapping of str to (rows, cols) bool array
         Masks of bones, osteophytes, cysts, joint space and implants, which may overlap.
     maps : mapping of str to (rows, cols) float32 array
@@ -55,7 +55,7 @@ class Sample:
     """
 
     name: str
-    person: str
+    subject: str
     split: str
     linear: NDArray[np.uint16]
     display: NDArray[np.uint8]
@@ -92,7 +92,7 @@ def make_sample(planned: PlannedImage, settings: DatasetSettings, tables: Datase
     built = build(planned.knee, planned.protocol)
     protocol = move_clear_of_detector(built.scene, built.aim_beam(planned.protocol))
     keep = ("masks", "path_mm") if settings.maps else ("masks",)
-    # Thousands of warnings would hide the progress, so they become a label.
+    # Printed warnings would hide the progress bar, so they are stored in the label `warnings`.
     with warnings.catch_warnings(record=True) as notices:
         warnings.simplefilter("always", ImageNotice)
         radiograph = simulate(built, protocol, rng=planned.seed, keep=keep, engine=settings.engine, workers=1)
@@ -100,12 +100,12 @@ def make_sample(planned: PlannedImage, settings: DatasetSettings, tables: Datase
     assert truth is not None
     processing: str | FlatPanelProcessing = settings.display
     if settings.display == "sampled":
-        processing = sample_processing_from_table(tables.display, rng=make_stream(planned.seed, DISPLAY_KEY))
+        processing = sample_processing_from_table(tables.display, rng=make_stream(planned.appearance_seed, DISPLAY_KEY))
     display = render_for_display(radiograph, processing=processing).astype(np.uint8)
     masks = add_joint_space_masks(truth.masks, truth.landmarks_px)
     sample = Sample(
         name=planned.name,
-        person=planned.person,
+        subject=planned.subject,
         split=planned.split,
         linear=radiograph.pixels,
         display=display,
@@ -115,14 +115,14 @@ def make_sample(planned: PlannedImage, settings: DatasetSettings, tables: Datase
         pixel_mm=protocol.pixel_mm,
         labels=_collect_labels(planned, radiograph, truth, processing)
         | {"warnings": [str(notice.message) for notice in notices]},
-        # A material that the knee does not contain, such as marrow of cysts, has a map of zeros.
+        # A requested material that the knee does not contain has a map of zeros.
         maps={name: radiograph.kept["path_mm"].get(name, np.zeros_like(display, np.float32)) for name in settings.maps},
     )
-    return _crop(sample, settings, planned.seed) if settings.crop_mm else sample
+    return _crop(sample, settings, planned.appearance_seed) if settings.crop_mm else sample
 
 
 def make_stream(seed: int, *key: int) -> np.random.Generator:
-    """Return the random generator of an image with a key.
+    """Return the random generator for a seed and a key.
 
     Parameters
     ----------
@@ -161,6 +161,7 @@ def _collect_labels(
         "technique": {name: getattr(protocol, name) for name in _TECHNIQUE},
         "display": processing if isinstance(processing, str) else _describe_processing(processing),
         "seed": planned.seed,
+        "appearance_seed": planned.appearance_seed,
         "knee": knee,
     }
     if planned.pair:
@@ -175,7 +176,7 @@ def _describe_processing(processing: FlatPanelProcessing) -> dict[str, float]:
 
 
 def _crop(sample: Sample, settings: DatasetSettings, seed: int) -> Sample:
-    """Cut a square about the joint to complete pixels; pixels outside the image have the value of its edge."""
+    """Cut a square around the joint to complete pixels; pixels outside the image have the value of its edge."""
     side, most_px = round(settings.crop_mm / sample.pixel_mm), 2 * settings.crop_shift_mm / sample.pixel_mm
     shift_px = np.clip(make_stream(seed, CROP_KEY).normal(0.0, most_px / 2, 2), -most_px, most_px)
     top, left = (int(at) for at in np.rint(np.array(_find_centre_px(sample)) + shift_px - (side - 1) / 2))

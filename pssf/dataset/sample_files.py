@@ -5,9 +5,9 @@ from collections.abc import Iterator
 from typing import Any
 
 from ..io import dataset_files
+from .coco_instances import list_instances
 from .dataset_settings import DatasetSettings
 from .dataset_tables import DatasetTables
-from .instances import list_instances
 from .sample import Sample
 
 
@@ -22,12 +22,12 @@ def collect_labels(sample: Sample) -> dict[str, Any]:
     Returns
     -------
     dict of str to object
-        Name, person, subset, size, landmarks and all labels.
+        Name, subject, subset, size, landmarks and all labels.
     """
     rows, cols = sample.linear.shape
     return {
         "name": sample.name,
-        "person": sample.person,
+        "subject": sample.subject,
         "split": sample.split,
         "rows": rows,
         "cols": cols,

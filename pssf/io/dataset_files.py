@@ -23,6 +23,8 @@ from .cohort_records import hash_file
 
 # Name of the file that specifies the data set.
 SETTINGS_FILE = "dataset.json"
+# Index of the record of the files that describe the complete data set.
+DESCRIPTION = -1
 
 
 class PartRecord(Record, frozen=True):
@@ -328,7 +330,7 @@ def read_part(folder: Path, index: int, claim: str | None = None) -> PartRecord 
     return record
 
 
-def list_faults(folder: Path, record: PartRecord) -> Iterator[str]:
+def iterate_faults(folder: Path, record: PartRecord) -> Iterator[str]:
     """Yield one line for each missing or changed file of a part.
 
     Parameters
@@ -358,11 +360,28 @@ def record_path(folder: Path, index: int) -> Path:
     folder : Path
         Folder of the data set.
     index : int
-        Index of the part.
+        Index of the part, or `DESCRIPTION`.
 
     Returns
     -------
     Path
         Path of the record.
     """
-    return folder / "records" / f"part-{index:06d}.json"
+    name = "description" if index == DESCRIPTION else f"part-{index:06d}"
+    return folder / "records" / f"{name}.json"
+
+
+def list_files(folder: Path) -> list[str]:
+    """List all files of a folder and its subfolders.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of the data set.
+
+    Returns
+    -------
+    list of str
+        Paths relative to `folder`, sorted.
+    """
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())

@@ -81,7 +81,7 @@ def require_parquet() -> None:
         raise InputError("parquet must be off without the package pyarrow, got parquet = on: install 'pssf[parquet]'")
 
 
-def find_size(path: Path) -> int:
+def get_file_size(path: Path) -> int:
     """Return the size of a file.
 
     Parameters

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .label_map import find_kind
+from .label_map import find_mask_class
 from .sample import Sample
 
 # COCO visibility flags: a landmark inside and outside the image.
@@ -35,7 +35,7 @@ def list_instances(sample: Sample, kinds: Mapping[str, int]) -> list[dict[str, A
         if mask.any():
             rows, cols = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
             box = [int(cols[0]), int(rows[0]), int(cols[-1] - cols[0] + 1), int(rows[-1] - rows[0] + 1)]
-            annotation = {"category_id": kinds[find_kind(name, kinds)], "name": name, "bbox": box}
+            annotation = {"category_id": kinds[find_mask_class(name, kinds)], "name": name, "bbox": box}
             made.append(annotation | {"area": int(mask.sum()), "iscrowd": 0, "segmentation": encode_run_lengths(mask)})
     return made
 
@@ -113,7 +113,7 @@ def make_annotations(entry: Mapping[str, Any], keypoints: Sequence[str], image_i
     Yields
     ------
     dict
-        Annotation. A landmark outside the image, or of another view, has the coordinates and the visibility 0.
+        Annotation. A landmark outside the image, or of another view, has coordinates (0, 0) and visibility 0.
     """
     flat, seen = list[float](), list[tuple[float, float]]()
     for name in keypoints:
