@@ -15,6 +15,7 @@ from .core.checks import InputError, require_choice, require_integer
 from .dataset import DatasetSettings, DatasetTables, load_dataset_tables, make_subject_samples
 from .dataset.coco_instances import decode_run_lengths
 from .dataset.dataset_settings import IMAGE_KINDS
+from .dataset.dataset_summary import list_landmarks
 from .dataset.dataset_verification import read_dataset_settings, read_label_map
 from .dataset.label_map import find_mask_class
 from .dataset.sample_files import collect_labels
@@ -103,11 +104,12 @@ class KneeDataset(Dataset[Item]):
         require_choice("image", image, settings.kinds)
         if settings.layout != "folder":
             raise InputError(f"layout must be folder, got layout = {settings.layout}: read shards with webdataset")
-        columns, rows = read_index_table(self.folder / "index.csv")
-        rows = [row for row in rows if row["split"] == split]
-        self.names = [row["name"] for row in rows]
-        self.kl = [int(row["kl"]) for row in rows]
-        self.landmark_names = tuple(name.removesuffix("_row_px") for name in columns if name.endswith("_row_px"))
+        columns, rows = read_index_table(self.folder / "index.csv", split, ("name", "kl"))
+        if not rows:
+            raise InputError(f"split must be a subset with images, got {split!r}, to which --split gave no subject")
+        self.names = [name for name, _ in rows]
+        self.kl = [int(kl) for _, kl in rows]
+        self.landmark_names = tuple(list_landmarks(columns))
         self.label_map = read_label_map(self.folder)
 
     def __len__(self) -> int:
@@ -177,7 +179,9 @@ class KneeStream(IterableDataset[Item]):
     InputError
         If a table or protocol is unknown, or a part of the items is not available.
 
-    Notes ----- Items have the same fields as in `KneeDataset`. An epoch contains the same images for any number of
+    Notes
+    -----
+    Items have the same fields as in `KneeDataset`. An epoch contains the same images for any number of
     loader processes, if this number does not change between epochs; their order depends on this number. After a change,
     call `set_epoch`. In distributed training, use another seed for each rank. The subjects of the first epoch are those
     of a data set with the same settings; use another seed for the images on which a network is tested.
@@ -213,7 +217,8 @@ class KneeStream(IterableDataset[Item]):
         InputError
             If the number is negative or not an integer.
         """
-        require_integer("epoch", epoch, 0, 2**40, "")
+        # Streams of random numbers are distinct for subject numbers below 2**32.
+        require_integer("epoch", epoch, 0, 2**32 // self.settings.subject_count - 1, "")
         self._epochs.fill_(epoch)
 
     def __iter__(self) -> Iterator[Item]:
@@ -247,7 +252,7 @@ def _list_landmarks(settings: DatasetSettings, tables: DatasetTables) -> tuple[s
         small = replace(tables, protocols=(protocol.resample(_SMALL_MATRIX),) * len(tables.protocols))
         plain = replace(settings, crop_mm=0.0, randomise=(), maps=())
         names |= dict.fromkeys(make_subject_samples(plain, small, 0, "train")[0].landmarks_px)
-    return tuple(names)
+    return tuple(sorted(names))
 
 
 def _make_item(

@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 import tifffile
 from command_line import run as run_pssf
+from command_line import run_in_process
 from PIL import Image
 
 import pssf
+from pssf.data.imaging.dataset_table import load_dataset_table
 from pssf.dataset import (
     RECIPES,
     TRANSFORMS,
@@ -26,12 +28,13 @@ from pssf.dataset import (
     randomise,
     verify_dataset,
 )
-from pssf.dataset.coco_instances import decode_run_lengths, encode_run_lengths
+from pssf.dataset.coco_instances import decode_run_lengths, encode_run_lengths, make_annotations
 from pssf.dataset.dataset_plan import find_part
 from pssf.dataset.dataset_summary import summarise_index
 from pssf.dataset.label_map import add_joint_space_masks, draw_label_map
 
 SMALL = {"matrix": 96, "seed": 5}
+VALUES = load_dataset_table().label_map
 
 
 def plan(settings, tables, subjects):
@@ -103,8 +106,13 @@ def test_pairs_differ_only_in_what_their_change_says():
                 assert first.protocol == second.protocol
                 assert first.appearance_seed == second.appearance_seed
                 assert first.seed != second.seed
+                # The sampled and the changed grade differ by the change of the derived grade, in its direction.
+                step = second.knee.grade - first.knee.grade
+                assert first.change["grade_change"] == step
+                assert step >= 0 if first.change["added"] else step <= 0
+                grades = {"grade": first.knee.grade, "reader_grade": first.knee.reader_grade}
                 unchanged = dataclasses.replace(first.knee, **{kind: (), "grade": None})
-                assert dataclasses.replace(second.knee, **{kind: ()}) == unchanged
+                assert dataclasses.replace(second.knee, **{kind: (), **grades, "grade": None}) == unchanged
             elif pairs == "visit":
                 assert pssf.true_change(first.knee, second.knee).items() <= first.change.items()
             else:
@@ -163,11 +171,11 @@ def test_a_crop_with_a_matrix_is_simulated_at_its_pixel_size():
 @pytest.mark.parametrize("name", TRANSFORMS)
 def test_each_transform_is_reproducible_and_only_the_affine_one_moves_labels(sample_of_knee, name):
     _, sample, _, _ = sample_of_knee
-    once, again = (randomise(sample, (name,), np.random.default_rng(2)) for _ in range(2))
+    once, again = (randomise(sample, (name,), np.random.default_rng(2), VALUES) for _ in range(2))
     assert (once.display == again.display).all()
     assert once.labels["randomised"] == [name]
     changed = any(
-        (randomise(sample, (name,), np.random.default_rng(k)).display != sample.display).any() for k in range(8)
+        (randomise(sample, (name,), np.random.default_rng(k), VALUES).display != sample.display).any() for k in range(8)
     )
     assert changed
     moved = once.landmarks_px != sample.landmarks_px
@@ -184,7 +192,7 @@ def test_affine_landmarks_stay_on_their_anatomy(sample_of_knee):
             sample, linear=np.rint(blob * 60000).astype(np.uint16), landmarks_px={"blob": (float(row), float(col))}
         )
         for seed in range(5):
-            moved = randomise(marked, ("affine",), np.random.default_rng(seed))
+            moved = randomise(marked, ("affine",), np.random.default_rng(seed), VALUES)
             weights = moved.linear / moved.linear.sum()
             centre = ((weights * rows).sum(), (weights * cols).sum())
             assert moved.landmarks_px["blob"] == pytest.approx(centre, abs=0.05)
@@ -201,6 +209,40 @@ def test_sampled_equipment_varies_and_keeps_a_view_without_grid():
         assert 1 < len(of_stand) <= len(getattr(values, name))
         assert of_stand <= set(getattr(values, name))
     assert {image.protocol.grid_ratio for image in planned if image.protocol.name == "reference"} == {0.0}
+
+
+@pytest.mark.parametrize("fractions", [(0.3333333,) * 3, (0.3333334,) * 3])
+def test_rounded_fractions_lose_no_subject(fractions):
+    settings = DatasetSettings(images=10_000_000, split=fractions, layout="shards", shard_images=20_000)
+    last = find_part(settings, count_parts(settings) - 1)
+    assert last.first + last.count == settings.subject_count
+
+
+def test_an_edited_grade_table_is_another_data_set(tmp_path):
+    table = tmp_path / "mine.toml"
+    table.write_text('base = "paper"\n[grade.2]\njsw_medial_mm = [2.0, 2.5]\n')
+    settings = DatasetSettings(images=1, grade_table=str(table), matrix=32)
+    make_dataset(settings, tmp_path / "set", workers=1)
+    table.write_text('base = "paper"\n[grade.2]\njsw_medial_mm = [2.0, 2.4]\n')
+    # A process reads a table once, so the edited table is used by a new process.
+    options = ["--images", "1", "--matrix", "32", "--grade-table", table, "--out", tmp_path / "set"]
+    result = run_in_process("dataset", *options, "--workers", "1")
+    assert result.returncode == 2
+    assert "contains a different dataset (grade_table.grade.2.jsw_medial_mm" in result.stderr
+
+
+def test_a_landmark_in_the_padding_of_a_crop_is_not_visible():
+    entry = {"rows": 10, "cols": 10, "kl": 1, "instances": [{"category_id": 100, "name": "knee"}]}
+    entry |= {"landmarks_px": {"in": [5.0, 5.0], "padding": [5.0, 1.0]}}
+    entry |= {"crop": {"top_px": 0, "left_px": -3, "whole_rows": 50, "whole_cols": 50}}
+    (knee,) = make_annotations(entry, ["in", "padding", "other_view"], 1, 1)
+    assert knee["keypoints"] == [5.0, 5.0, 2, 0, 0, 0, 0, 0, 0]
+    assert knee["num_keypoints"] == 1
+    # The same place one row further up, before a shift of the image by one row.
+    moved = {**entry, "crop": {**entry["crop"], "left_px": 0}, "landmarks_px": {"in": [0.2, 5.0]}}
+    moved["affine"] = {"matrix": [[1, 0], [0, 1]], "offset_px": [1.0, 0.0]}
+    (knee,) = make_annotations(moved, ["in"], 1, 1)
+    assert knee["num_keypoints"] == 0
 
 
 def test_an_index_is_summarised_in_one_pass():
@@ -277,11 +319,13 @@ def _require_readable(folder, settings):
         assert display.shape == linear.shape == (image["height"], image["width"]) == (labels["rows"], labels["cols"])
         with tifffile.TiffFile(folder / "train/maps" / f"{name}.tif") as tiff:
             assert [page.tags["PageName"].value for page in tiff.pages] == ["cortical_bone"]
-        knee, *parts = (one for one in coco["annotations"] if one["image_id"] == image["id"])
+        *parts, knee = (one for one in coco["annotations"] if one["image_id"] == image["id"])
+        whole = np.logical_or.reduce([decode_run_lengths(part["segmentation"]) for part in parts])
+        assert (decode_run_lengths(knee["segmentation"]) == whole).all()
         assert knee["num_keypoints"] == len(labels["landmarks_px"])
         label_map = np.array(Image.open(folder / "train/label_map" / f"{name}.png"))
         assert {tables.definitions.label_map["femur"]} <= set(np.unique(label_map))
-        assert {part["name"] for part in parts} == {part["name"] for part in labels["instances"]}
+        assert {part["name"] for part in (*parts, knee)} == {part["name"] for part in labels["instances"]}
     header = (folder / "index.csv").read_text().splitlines()
     assert len(header) == 9
 
@@ -374,6 +418,7 @@ def test_a_subject_whose_knee_cannot_be_built_is_sampled_again_with_the_same_gra
         (["--layout", "zip"], "layout must be one of folder, shards, got 'zip'"),
         (["--images", "0"], "images must be"),
         (["--maps", "butter"], "maps must be"),
+        (["--split", "nan,0.5,0.5"], "the sum 1, got nan, 0.5, 0.5"),
         (["--engine", "ray"], "engine must be one of embree, scanline, got 'ray'"),
         ([], "out must be a folder for the data set, got out = none: add --out FOLDER"),
     ],

@@ -18,7 +18,13 @@ from torch.utils.data import DataLoader
 from pssf.torch import KneeDataset, KneeStream
 
 SETTINGS = DatasetSettings(
-    images=4, matrix=64, seed=5, split=(0.5, 0.5, 0.0), maps=("cortical_bone",), protocols=("fixed_flexion", "lateral")
+    images=4,
+    matrix=64,
+    seed=5,
+    randomise=("affine",),
+    split=(0.5, 0.5, 0.0),
+    maps=("cortical_bone",),
+    protocols=("fixed_flexion", "lateral"),
 )
 
 
@@ -60,6 +66,7 @@ def test_a_stream_simulates_the_images_of_a_data_set_and_new_subjects_in_every_e
     stored = {item["name"]: item for data in stored.values() for item in data}
     stream = KneeStream(SETTINGS)
     first, second = ({item["name"]: item for item in stream} for _ in range(2))
+    assert stream.landmark_names == KneeDataset(folder).landmark_names
     assert first.keys() == stored.keys()
     assert not first.keys() & second.keys()
     for name, item in first.items():
@@ -85,6 +92,8 @@ def test_unsuitable_folders_and_parts_are_refused(folder, tmp_path):
         KneeDataset(folder, image="png")
     with pytest.raises(pssf.InputError, match=r"folder must contain a data set made by pssf dataset"):
         KneeDataset(tmp_path)
+    with pytest.raises(pssf.InputError, match=r"split must be a subset with images, got 'test'"):
+        KneeDataset(folder, "test")
     with pytest.raises(pssf.InputError, match=r"epoch must be"):
         KneeStream(DatasetSettings(matrix=32)).set_epoch(-1)
     with pytest.raises(pssf.InputError, match=r"keep must not contain maps"):

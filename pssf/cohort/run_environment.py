@@ -1,6 +1,8 @@
 """Require that every worker of a run has the same folder, libraries and code as the machine that started the run."""
 
 from dataclasses import dataclass
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from platform import node
 
@@ -8,6 +10,9 @@ from ..core.checks import InputError
 from ..data.code_hash import require_same_code
 from ..io.cohort_records import require_claimed_folder
 from ..simulation import collect_versions
+
+# Module of each library that encodes image files. tifffile uses imagecodecs only where it is installed.
+_FILE_LIBRARIES = {"imagecodecs": "imagecodecs", "pillow": "PIL", "tifffile": "tifffile"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,6 +40,17 @@ class RunEnvironment:
     code_hashes: dict[str, str]
 
 
+def find_file_library_versions() -> dict[str, str]:
+    """Find the versions of the libraries that affect the bytes of PNG and TIFF files.
+
+    Returns
+    -------
+    dict of str to str
+        Version of each library, keyed by name; "none" for a library that is not installed.
+    """
+    return {name: version(name) if find_spec(module) else "none" for name, module in _FILE_LIBRARIES.items()}
+
+
 def require_same_environment(site: RunEnvironment) -> None:
     """Require that this machine has the folder, libraries and code of the machine that started the run.
 
@@ -49,8 +65,8 @@ def require_same_environment(site: RunEnvironment) -> None:
         If the output folder, a library version or the code differs.
     """
     require_claimed_folder(site.folder / site.claim, site.claim_sha256)
-    for name, here in collect_versions().items():
-        if here != site.versions[name]:
+    for name, here in {**collect_versions(), **find_file_library_versions()}.items():
+        if here != site.versions.get(name, here):
             allowed = f"{site.versions[name]}, the version on the machine that started the run"
             raise InputError(f"{name} on {node()} must be {allowed}, got {here}")
     require_same_code(site.code_hashes)

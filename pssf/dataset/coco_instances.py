@@ -33,10 +33,12 @@ def list_instances(sample: Sample, kinds: Mapping[str, int]) -> list[dict[str, A
     made = []
     for name, mask in sample.masks.items():
         if mask.any():
-            rows, cols = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-            box = [int(cols[0]), int(rows[0]), int(cols[-1] - cols[0] + 1), int(rows[-1] - rows[0] + 1)]
-            annotation = {"category_id": kinds[find_mask_class(name, kinds)], "name": name, "bbox": box}
-            made.append(annotation | {"area": int(mask.sum()), "iscrowd": 0, "segmentation": encode_run_lengths(mask)})
+            category = kinds[find_mask_class(name, kinds)]
+            made.append({"category_id": category, "name": name, **_describe_mask(mask), "num_keypoints": 0})
+    if made:
+        # The knee consists of all masks.
+        whole = np.logical_or.reduce(list(sample.masks.values()))
+        made.append({"category_id": _KNEE_CATEGORY, "name": "knee", **_describe_mask(whole)})
     return made
 
 
@@ -115,17 +117,40 @@ def make_annotations(entry: Mapping[str, Any], keypoints: Sequence[str], image_i
     dict
         Annotation. A landmark outside the image, or of another view, has coordinates (0, 0) and visibility 0.
     """
-    flat, seen = list[float](), list[tuple[float, float]]()
+    flat = list[float]()
     for name in keypoints:
-        row, col = entry["landmarks_px"].get(name) or (-1.0, -1.0)
-        inside = -0.5 <= row <= entry["rows"] - 0.5 and -0.5 <= col <= entry["cols"] - 0.5
-        flat += [round(col, 4), round(row, 4), _VISIBLE] if inside else [0, 0, _NOT_LABELLED]
-        seen += [(col, row)] if inside else []
-    corners = np.array(seen or [(0.0, 0.0)])
-    low, size = corners.min(axis=0), np.ptp(corners, axis=0)
-    box = [round(float(value), 4) for value in (*low, *size)]
-    common = {"image_id": image_id, "iscrowd": 0}
-    knee = {"category_id": _KNEE_CATEGORY, "keypoints": flat, "num_keypoints": len(seen), "bbox": box}
-    yield {"id": first, **common, **knee, "area": round(box[2] * box[3], 4), "attributes": {"kl": entry["kl"]}}
-    for number, instance in enumerate(entry["instances"], start=first + 1):
-        yield {"id": number, "image_id": image_id, **instance}
+        place = entry["landmarks_px"].get(name)
+        visible = place is not None and _is_imaged(entry, place)
+        flat += [round(place[1], 4), round(place[0], 4), _VISIBLE] if visible else [0, 0, _NOT_LABELLED]
+    count = sum(flag == _VISIBLE for flag in flat[2::3])
+    for number, instance in enumerate(entry["instances"], start=first):
+        of_knee = {"keypoints": flat, "num_keypoints": count, "attributes": {"kl": entry["kl"]}}
+        extra = of_knee if instance["category_id"] == _KNEE_CATEGORY else {}
+        yield {"id": number, "image_id": image_id, **instance, **extra}
+
+
+def _describe_mask(mask: NDArray[np.bool_]) -> dict[str, Any]:
+    """Describe a mask with pixels by box, area and run lengths."""
+    rows, cols = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    box = [int(cols[0]), int(rows[0]), int(cols[-1] - cols[0] + 1), int(rows[-1] - rows[0] + 1)]
+    return {"bbox": box, "area": int(mask.sum()), "iscrowd": 0, "segmentation": encode_run_lengths(mask)}
+
+
+def _is_imaged(entry: Mapping[str, Any], place: Sequence[float]) -> bool:
+    """Return whether a place is inside the image, and inside the whole image before the affine transform and the crop.
+
+    Pixels outside the whole image repeat its edge, so a landmark there is not visible.
+    """
+    at, size = np.array(place), np.array([entry["rows"], entry["cols"]])
+    inside = _is_within(at, size)
+    if "affine" in entry:
+        at = np.linalg.solve(np.array(entry["affine"]["matrix"]), at - np.array(entry["affine"]["offset_px"]))
+    if "crop" in entry:
+        at = at + np.array([entry["crop"]["top_px"], entry["crop"]["left_px"]])
+        size = np.array([entry["crop"]["whole_rows"], entry["crop"]["whole_cols"]])
+    return inside and _is_within(at, size)
+
+
+def _is_within(at: NDArray[np.float64], size: NDArray[np.int64]) -> bool:
+    """Return whether a place (row, column) is within an image of a size, in pixels."""
+    return bool(((at >= -0.5) & (at <= size - 0.5)).all())

@@ -56,7 +56,9 @@ def estimate_cost(settings: DatasetSettings) -> CostEstimate:
     InputError
         If a table or protocol is unknown.
 
-    Notes ----- In a balanced data set, the first subjects have all KL grades. Knees with osteophytes take longer, so
+    Notes
+    -----
+    In a balanced data set, the first subjects have all KL grades. Knees with osteophytes take longer, so
     the estimate of a data set with other frequencies of the grades is less exact.
     """
     tables, sizes, seconds, made = load_dataset_tables(settings), list[int](), 0.0, 0

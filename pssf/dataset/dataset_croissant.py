@@ -30,7 +30,7 @@ _COLUMNS = {
     "appearance_seed": "Seed of crop, display processing and randomisation.",
     "display": "Display processing of the 8-bit image.",
     "warnings": "Warnings of the simulation, as JSON.",
-    "randomised": "Names of the applied random transforms, as JSON.",
+    "randomised": "Names of the random transforms, some of which act only with a certain probability, as JSON.",
     "affine_matrix": "Matrix from (row, column) before to after the affine transform, as JSON.",
     "affine_offset_px": "Offset added after the matrix, pixels, as JSON.",
     "crop_top_px": "First row of the crop in the whole image, pixels.",

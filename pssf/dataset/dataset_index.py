@@ -6,16 +6,24 @@ from pathlib import Path
 from typing import Any
 
 from ..io.atomic_write import write_bytes
-from ..io.cohort_records import hash_file, write_json
+from ..io.cohort_records import hash_file
 from ..io.dataset_files import (
+    CROISSANT_FILE,
     DESCRIPTION,
+    NO_LIMIT,
     SETTINGS_FILE,
     PartRecord,
     read_part,
     read_sample_labels,
     write_part_record,
 )
-from ..io.dataset_index_files import get_file_size, write_coco_file, write_index_table, write_parquet_table
+from ..io.dataset_index_files import (
+    get_file_size,
+    write_coco_file,
+    write_index_table,
+    write_new_json,
+    write_parquet_table,
+)
 from .coco_instances import make_annotations, make_categories
 from .dataset_croissant import build_croissant_metadata
 from .dataset_plan import count_parts
@@ -54,19 +62,20 @@ def write_description(settings: DatasetSettings, tables: DatasetTables, folder: 
     # The columns are collected first, because images of different views have different landmarks.
     summary, path = summarise_index(_iterate_flat_rows(settings, folder)), folder / "index.csv"
     write_index_table(path, list(summary.columns), _iterate_flat_rows(settings, folder))
-    names = [path.name, "croissant.json", "datasheet.md"]
+    names = [path.name, "datasheet.md"]
     if settings.parquet:
         names.append("index.parquet")
         write_parquet_table(folder / "index.parquet", summary.columns, _iterate_flat_rows(settings, folder))
     if settings.layout == "folder":
         for split in SPLITS:
-            names += _write_coco(settings, tables, folder, split)
-    write_json(
-        folder / "croissant.json",
-        build_croissant_metadata(settings, summary, hash_file(path), get_file_size(path)),
+            names += _write_coco(settings, tables, folder, split, summary.landmarks)
+    # The publisher may have added a licence to an existing file.
+    write_new_json(
+        folder / CROISSANT_FILE,
+        build_croissant_metadata(settings, summary, hash_file(path, max_bytes=NO_LIMIT), get_file_size(path)),
     )
     write_bytes(folder / "datasheet.md", render_dataset_datasheet(settings, tables, summary).encode())
-    hashes = {name: hash_file(folder / name) for name in names}
+    hashes = {name: hash_file(folder / name, max_bytes=NO_LIMIT) for name in names}
     claim = hash_file(folder / SETTINGS_FILE)
     write_part_record(folder, DESCRIPTION, PartRecord(rows=[], files=hashes, settings_sha256=claim))
     return path
@@ -125,11 +134,11 @@ def _iterate_flat_rows(settings: DatasetSettings, folder: Path) -> Iterator[Row]
     return (flatten_row(row) for row in iterate_rows(settings, folder))
 
 
-def _write_coco(settings: DatasetSettings, tables: DatasetTables, folder: Path, split: str) -> list[str]:
+def _write_coco(
+    settings: DatasetSettings, tables: DatasetTables, folder: Path, split: str, keypoints: list[str]
+) -> list[str]:
     """Write the COCO file of a subset image by image, and return its name; no file for a subset without images."""
-    rows = _iterate_split(settings, folder, split)
-    keypoints = list(dict.fromkeys(name for row in rows for name in row["landmarks_px"]))
-    if not keypoints:
+    if next(_iterate_split(settings, folder, split), None) is None:
         return []
     kind, suffix = ("display", "png") if "display" in settings.kinds else ("linear", "tif")
     images = (

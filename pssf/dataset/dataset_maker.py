@@ -5,7 +5,9 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-from ..cohort.run_environment import RunEnvironment, require_same_environment
+import msgspec
+
+from ..cohort.run_environment import RunEnvironment, find_file_library_versions, require_same_environment
 from ..core.checks import InputError, require_workers
 from ..core.processes.parallel_map import count_cores, map_in_parallel, require_scheduler
 from ..data.code_hash import compute_code_hashes, list_pixel_data_files
@@ -26,7 +28,12 @@ from .subject_samples import make_subject_samples
 _CODE_PATHS = (
     *("anatomy", "cohort", "core", "dataset", "detector", "geometry", "io", "model", "raycast", "scatter"),
     *("image_faults.py", "simulation.py", "stages.py", "xray"),
+    # The second visit of a pair depends on the rates of progression.
+    *("data/progress.toml", "data/knees/progression_table.py"),
 )
+
+# Number of parts whose files are checked together.
+_PARTS_PER_BATCH = 10_000
 
 
 def make_dataset(
@@ -40,7 +47,7 @@ def make_dataset(
 ) -> Path:
     """Make the missing images of a data set, and write its index.
 
-    The files are identical for any number of workers and on any machine.
+    The same settings, code and library versions give byte-identical files for any number of workers.
 
     Parameters
     ----------
@@ -77,12 +84,14 @@ def make_dataset(
     if scheduler is not None:
         require_scheduler(scheduler)
     folder, tables = Path(folder), load_dataset_tables(settings)
+    versions = {**collect_versions(), **find_file_library_versions()}
     code = compute_code_hashes((*_CODE_PATHS, *list_pixel_data_files()))
     specified = {
         "settings": settings.to_dict(),
+        "grade_table": msgspec.json.decode(msgspec.json.encode(tables.distributions.grades)),
         "protocols": [protocol_to_dict(protocol) for protocol in tables.protocols],
         "label_map": dict(tables.definitions.label_map),
-        "versions": collect_versions(),
+        "versions": versions,
         "code": code,
     }
     claim = claim_folder(folder / dataset_files.SETTINGS_FILE, specified)
@@ -92,7 +101,7 @@ def make_dataset(
         folder=folder.absolute(),
         claim=dataset_files.SETTINGS_FILE,
         claim_sha256=claim,
-        versions=collect_versions(),
+        versions=versions,
         code_hashes=code,
     )
     shared = {"settings": settings, "tables": tables, "site": site}
@@ -170,13 +179,16 @@ def _find_missing_parts(
             raise InputError(f"file {folder / changed[0].split(':')[0]} must be unchanged, got other content; {hint}")
         return None if faults else len(record.rows)
 
-    missing = []
+    missing = list[int]()
     with ThreadPoolExecutor(workers) as pool:
-        for index, kept in enumerate(pool.map(check_part, range(count_parts(settings)))):
-            if kept is None:
-                missing.append(index)
-            else:
-                on_kept(kept)
+        # The parts of a large data set are checked in batches, because the pool holds all submitted calls in memory.
+        for first in range(0, count_parts(settings), _PARTS_PER_BATCH):
+            batch = range(first, min(first + _PARTS_PER_BATCH, count_parts(settings)))
+            for index, kept in zip(batch, pool.map(check_part, batch), strict=True):
+                if kept is None:
+                    missing.append(index)
+                else:
+                    on_kept(kept)
     return missing
 
 

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from ..data.knees.oarsi_table import OarsiThresholds
+from ..model.kellgren_lawrence import MAX_GRADE, allowed_grades, derive_grade
 from ..model.knee import MARGIN_AND_SPINE_SITES, Knee, Osteophyte
 from ..model.progression import progress, true_change
 from ..model.protocol import Protocol
@@ -193,7 +195,7 @@ def _plan_knee(
         first, second = ((knee, protocol) for protocol in tables.protocols)
         change = {"protocol": [first[1].name, second[1].name]}
     elif settings.pairs == "lesion":
-        other, change = _change_one_lesion(knee, chance)
+        other, change = _change_one_lesion(knee, tables.cuts, chance)
         second = (other, nominal)
     else:
         years = round(float(chance.uniform(*_VISIT_RANGE_YEARS)), 2)
@@ -216,8 +218,8 @@ def _plan_image(
 ) -> PlannedImage:
     """Sample the acquisition of one image; `at` is the number of the subject, the knee and the image.
 
-    The two images of a lesion pair have the same acquisition, crop, display processing and randomisation, so that the
-    lesion is the only difference besides noise.
+    The two images of a lesion pair have the same acquisition, crop, display processing and randomisation. Their knees
+    differ in the lesion, and therefore slightly in the pose of the bones for the specified joint space.
     """
     place = (*at[:2], 0 if settings.pairs == "lesion" else at[2])
     if settings.equipment == "sampled":
@@ -244,7 +246,7 @@ def _sample_equipment(nominal: Protocol, tables: DatasetTables, rng: np.random.G
     return replace(nominal, **sampled)
 
 
-def _change_one_lesion(knee: Knee, rng: np.random.Generator) -> tuple[Knee, dict[str, Any]]:
+def _change_one_lesion(knee: Knee, cuts: OarsiThresholds, rng: np.random.Generator) -> tuple[Knee, dict[str, Any]]:
     """Remove one osteophyte or cyst of a knee at random, or add an osteophyte to a knee without any."""
     lesions = [("osteophyte", one) for one in knee.osteophytes] + [("cyst", one) for one in knee.cysts]
     if not lesions:
@@ -253,11 +255,27 @@ def _change_one_lesion(knee: Knee, rng: np.random.Generator) -> tuple[Knee, dict
             round(float(rng.uniform(*_ADDED_OSTEOPHYTE_MM)), 2),
         )
         grown = replace(knee, osteophytes=(Osteophyte(site=site, size_mm=size),), grade=None)
-        return grown, {"lesion": "osteophyte", "added": True, "site": site, "size_mm": size}
+        return _regrade(knee, grown, cuts, {"lesion": "osteophyte", "added": True, "site": site, "size_mm": size})
     kind, lost = lesions[int(rng.integers(len(lesions)))]
     kept: dict[str, Any] = {f"{kind}s": tuple(one for one in getattr(knee, f"{kind}s") if one is not lost)}
     size = lost.size_mm if isinstance(lost, Osteophyte) else lost.diameter_mm
-    return replace(knee, **kept, grade=None), {"lesion": kind, "added": False, "site": lost.site, "size_mm": size}
+    other = replace(knee, **kept, grade=None)
+    return _regrade(knee, other, cuts, {"lesion": kind, "added": False, "site": lost.site, "size_mm": size})
+
+
+def _regrade(knee: Knee, other: Knee, cuts: OarsiThresholds, change: dict[str, Any]) -> tuple[Knee, dict[str, Any]]:
+    """Change the grade of a knee with another lesion by the change of its derived grade, as `progress` does.
+
+    A removed lesion never raises the grade, and an added lesion never lowers it.
+    """
+    if knee.grade is None:
+        return other, change
+    low, high = allowed_grades(other, cuts)
+    stepped = knee.grade + derive_grade(other, cuts) - derive_grade(replace(knee, grade=None), cuts)
+    bounded = max(knee.grade, stepped) if change["added"] else min(knee.grade, stepped)
+    grade = min(max(bounded, low), high)
+    read = None if knee.reader_grade is None else min(max(knee.reader_grade + grade - knee.grade, 0), MAX_GRADE)
+    return replace(other, grade=grade, reader_grade=read), {**change, "grade_change": grade - knee.grade}
 
 
 def _sample_grade(settings: DatasetSettings, tables: DatasetTables, subject: int) -> int:
@@ -272,7 +290,8 @@ def _sample_grade(settings: DatasetSettings, tables: DatasetTables, subject: int
 
 def _assign_subjects(settings: DatasetSettings) -> dict[str, tuple[int, int]]:
     """Return number of the first subject and number of subjects for each subset."""
-    ends = [round(settings.subject_count * total) for total in np.cumsum(settings.split).tolist()]
+    ends = [round(settings.subject_count * total) for total in np.cumsum(settings.split).tolist()[:-1]]
+    ends.append(settings.subject_count)
     starts = [0, *ends[:-1]]
     return {split: (start, end - start) for split, start, end in zip(SPLITS, starts, ends, strict=True)}
 

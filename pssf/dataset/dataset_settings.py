@@ -118,7 +118,7 @@ class DatasetSettings:
         require_choice("pairs", self.pairs, PAIRS)
         require_choice("layout", self.layout, LAYOUTS)
         require_choice("engine", self.engine, ENGINES)
-        require_integer("shard_images", self.shard_images, 1, 100_000, "")
+        require_integer("shard_images", self.shard_images, 1, 20_000, "")
         for kind in self.kinds:
             require_choice("kinds", kind, IMAGE_KINDS)
         if not self.kinds:
@@ -126,7 +126,11 @@ class DatasetSettings:
         require_in_range("crop_shift_mm", self.crop_shift_mm, 0, 50, "mm")
         if self.crop_mm:
             require_in_range("crop_mm", self.crop_mm, 20, 1000, "mm")
-        if len(self.split) != len(SPLITS) or min(self.split) < 0 or abs(sum(self.split) - 1) > 1e-6:
+        if (
+            len(self.split) != len(SPLITS)
+            or not all(part >= 0 for part in self.split)
+            or not abs(sum(self.split) - 1) < 1e-6
+        ):
             given = ", ".join(f"{part:g}" for part in self.split)
             raise InputError(f"split must be three fractions (train, validation, test) with the sum 1, got {given}")
         if not self.protocols:

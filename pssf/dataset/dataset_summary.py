@@ -28,9 +28,30 @@ class IndexSummary:
     subjects: int = 0
 
     @property
+    def landmarks(self) -> list[str]:
+        """Names of all landmarks, sorted, so that every file and loader uses the same order."""
+        return list_landmarks(self.columns)
+
+    @property
     def images(self) -> int:
         """Number of images."""
         return self.counts.total()
+
+
+def list_landmarks(columns: Iterable[str]) -> list[str]:
+    """List the landmarks of a data set.
+
+    Parameters
+    ----------
+    columns : iterable of str
+        Columns of index.csv.
+
+    Returns
+    -------
+    list of str
+        Names of the landmarks, sorted.
+    """
+    return sorted(name.removesuffix("_row_px") for name in columns if name.endswith("_row_px"))
 
 
 def summarise_index(rows: Iterable[Mapping[str, Any]]) -> IndexSummary:

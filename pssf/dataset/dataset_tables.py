@@ -7,6 +7,7 @@ from ..core.checks import InputError, require_choice
 from ..data.anatomy.tissue_table import load_tissues
 from ..data.imaging.dataset_table import DatasetTable, load_dataset_table
 from ..data.imaging.display_table import DisplayProcessing, load_display_processing
+from ..data.knees.oarsi_table import OarsiThresholds, load_oarsi_thresholds
 from ..model.protocol import Protocol, load_protocol
 from ..model.sampling.knee_sampling import KneeDistributions, load_knee_distributions
 from .dataset_settings import DatasetSettings
@@ -24,6 +25,8 @@ class DatasetTables:
         Distributions from which knees are sampled.
     display : DisplayProcessing
         Default display processing and distributions of its parameters.
+    cuts : OarsiThresholds
+        Thresholds of the grades of osteophytes and joint space narrowing.
     protocols : tuple of Protocol
         Protocols of the data set with the requested pixel size.
     """
@@ -31,6 +34,7 @@ class DatasetTables:
     definitions: DatasetTable
     distributions: KneeDistributions
     display: DisplayProcessing
+    cuts: OarsiThresholds
     protocols: tuple[Protocol, ...]
 
 
@@ -59,6 +63,7 @@ def load_dataset_tables(settings: DatasetSettings) -> DatasetTables:
         definitions=load_dataset_table(),
         distributions=load_knee_distributions(settings.grade_table),
         display=load_display_processing(),
+        cuts=load_oarsi_thresholds(),
         protocols=tuple(_fit_protocol(load_protocol(name), settings) for name in settings.protocols),
     )
 

@@ -6,7 +6,15 @@ from typing import Any
 from ..core.checks import InputError
 from ..data.user_files import read_json
 from ..io.cohort_records import hash_file
-from ..io.dataset_files import DESCRIPTION, SETTINGS_FILE, iterate_faults, list_files, read_part, record_path
+from ..io.dataset_files import (
+    CROISSANT_FILE,
+    DESCRIPTION,
+    SETTINGS_FILE,
+    iterate_faults,
+    list_files,
+    read_part,
+    record_path,
+)
 from .dataset_plan import count_parts
 from .dataset_settings import DatasetSettings, read_settings
 
@@ -34,7 +42,7 @@ def verify_dataset(folder: str | Path) -> tuple[int, list[str]]:
     folder = Path(folder)
     settings = read_dataset_settings(folder)
     claim = hash_file(folder / SETTINGS_FILE)
-    images, faults, known = 0, list[str](), {SETTINGS_FILE}
+    images, faults, known = 0, list[str](), {SETTINGS_FILE, CROISSANT_FILE}
     # The last record lists the files that describe the complete data set.
     for index in (*range(count_parts(settings)), DESCRIPTION):
         record = read_part(folder, index, claim)

@@ -4,7 +4,7 @@ The transforms follow Gao et al. 2023 (SyntheX, Nat Mach Intell 5:294), who trai
 alone: noise, gamma, affine transform, inversion, boxes, blur, contrast curves and coarse dropout.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..core.checks import InputError, require_choice
+from .label_map import draw_label_map
 
 if TYPE_CHECKING:
     from .sample import Sample
@@ -21,7 +22,7 @@ Grey = NDArray[np.float32]
 Generator = np.random.Generator
 
 
-def randomise(sample: "Sample", transforms: Sequence[str], rng: Generator) -> "Sample":
+def randomise(sample: "Sample", transforms: Sequence[str], rng: Generator, label_values: Mapping[str, int]) -> "Sample":
     """Apply random transforms to an image of a data set.
 
     Transforms of grey levels change only the image for display. The affine transform also changes linear image, masks,
@@ -35,11 +36,14 @@ def randomise(sample: "Sample", transforms: Sequence[str], rng: Generator) -> "S
         Names of transforms and recipes, in the order in which they are applied.
     rng : numpy.random.Generator
         Generator; the only source of randomness.
+    label_values : mapping of str to int
+        Value of each class in the label map.
 
     Returns
     -------
     Sample
-        Changed image. Its label ``randomised`` lists the applied transforms.
+        Changed image. Its label ``randomised`` lists the transforms; some act only with a certain
+        probability.
 
     Raises
     ------
@@ -51,7 +55,7 @@ def randomise(sample: "Sample", transforms: Sequence[str], rng: Generator) -> "S
     # Each transform has a generator of its own, so that adding a transform does not change the others.
     for name, chance in zip(names, rng.spawn(len(names)), strict=True):
         if name == AFFINE:
-            sample, grey = _transform_affine(sample, grey, chance)
+            sample, grey = _transform_affine(sample, grey, chance, label_values)
         else:
             grey = GREY_TRANSFORMS[name](grey, chance)
     display = np.rint(np.clip(grey, 0, 1) * 255).astype(np.uint8)
@@ -142,7 +146,9 @@ def _sample_box(shape: tuple[int, ...], fractions: tuple[float, float], rng: Gen
     return tuple(slices)
 
 
-def _transform_affine(sample: "Sample", grey: Grey, rng: Generator) -> tuple["Sample", Grey]:
+def _transform_affine(
+    sample: "Sample", grey: Grey, rng: Generator, label_values: Mapping[str, int]
+) -> tuple["Sample", Grey]:
     """Rotate by up to 10 degrees, scale by 0.9 to 1.1 and shift by up to 5 % of the image about its centre."""
     angle, scale = np.deg2rad(rng.uniform(-10, 10)), rng.uniform(0.9, 1.1)
     shape = np.array(grey.shape)
@@ -165,12 +171,13 @@ def _transform_affine(sample: "Sample", grey: Grey, rng: Generator) -> tuple["Sa
         ) >= 0.5  # fmt: skip
 
     places = {name: matrix @ np.array(place) + offset for name, place in sample.landmarks_px.items()}
+    masks = {name: move_mask(mask) for name, mask in sample.masks.items()}
     applied = {"matrix": matrix.round(6).tolist(), "offset_px": offset.round(4).tolist()}
     moved = replace(
         sample,
         linear=np.rint(resample(sample.linear.astype(np.float32), 1)).astype(np.uint16),
-        label_map=resample(sample.label_map, 0),
-        masks={name: move_mask(mask) for name, mask in sample.masks.items()},
+        label_map=draw_label_map(masks, label_values, grey.shape),
+        masks=masks,
         maps={name: resample(image, 1) for name, image in sample.maps.items()},
         landmarks_px={name: (float(row), float(col)) for name, (row, col) in places.items()},
         pixel_mm=sample.pixel_mm / scale,

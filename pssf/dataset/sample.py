@@ -16,7 +16,7 @@ from ..model.knee import knee_to_dict
 from ..model.radiograph import Radiograph, Truth
 from ..model.sampling.display_sampling import sample_processing_from_table
 from ..raycast.detector_clearance import move_clear_of_detector
-from ..simulation import simulate
+from ..simulation import KernelNotice, simulate
 from .dataset_plan import PlannedImage
 from .dataset_settings import DatasetSettings
 from .dataset_tables import DatasetTables
@@ -94,7 +94,9 @@ def make_sample(planned: PlannedImage, settings: DatasetSettings, tables: Datase
     keep = ("masks", "path_mm") if settings.maps else ("masks",)
     # Printed warnings would hide the progress bar, so they are stored in the label `warnings`.
     with warnings.catch_warnings(record=True) as notices:
-        warnings.simplefilter("always", ImageNotice)
+        warnings.simplefilter("ignore")
+        for category in (ImageNotice, KernelNotice):
+            warnings.simplefilter("always", category)
         radiograph = simulate(built, protocol, rng=planned.seed, keep=keep, engine=settings.engine, workers=1)
     truth = radiograph.truth
     assert truth is not None

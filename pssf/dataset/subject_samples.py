@@ -44,8 +44,8 @@ def make_subject_samples(settings: DatasetSettings, tables: DatasetTables, subje
     then greater than 0.
     """
     for attempt in range(_ATTEMPTS):
-        planned = plan_subject(settings, tables, subject, split, attempt=attempt)
         try:
+            planned = plan_subject(settings, tables, subject, split, attempt=attempt)
             return [_make_randomised_sample(image, settings, tables, attempt) for image in planned]
         except InputError:
             if attempt == _ATTEMPTS - 1:
@@ -61,4 +61,6 @@ def _make_randomised_sample(
     sample = replace(sample, labels={**sample.labels, "attempt": attempt})
     if not settings.randomise:
         return sample
-    return randomise(sample, settings.randomise, make_stream(planned.appearance_seed, RANDOMISE_KEY))
+    return randomise(
+        sample, settings.randomise, make_stream(planned.appearance_seed, RANDOMISE_KEY), tables.definitions.label_map
+    )

@@ -15,6 +15,7 @@ from ..core.checks import InputError
 from ..data.code_hash import format_differing_parts
 from ..data.table_records import Record
 from ..data.user_files import (
+    MOST_BYTES,
     convert_os_errors,
     parse_text,
     read_json,
@@ -145,13 +146,15 @@ class CohortFile(Record, frozen=True):
     code: dict[str, str]
 
 
-def hash_file(path: Path) -> str:
+def hash_file(path: Path, max_bytes: int = MOST_BYTES) -> str:
     """Compute the SHA-256 hash of a file.
 
     Parameters
     ----------
     path : Path
         File to read.
+    max_bytes : int
+        Size limit of the file, in bytes.
 
     Returns
     -------
@@ -163,7 +166,7 @@ def hash_file(path: Path) -> str:
     InputError
         The file cannot be read.
     """
-    with convert_os_errors(require_regular_file(path), "a readable file"), open(path, "rb") as handle:
+    with convert_os_errors(require_regular_file(path, max_bytes), "a readable file"), open(path, "rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
 
 

@@ -23,6 +23,10 @@ from .cohort_records import hash_file
 
 # Name of the file that specifies the data set.
 SETTINGS_FILE = "dataset.json"
+# Metadata of the data set; its publisher may change this file.
+CROISSANT_FILE = "croissant.json"
+# Size limit of hashed files, in bytes: none.
+NO_LIMIT = 2**63
 # Index of the record of the files that describe the complete data set.
 DESCRIPTION = -1
 
@@ -276,7 +280,7 @@ def write_shard(folder: Path, name: str, entries: Iterable[tuple[str, bytes]]) -
             entry = tarfile.TarInfo(member)
             entry.size, entry.mode = len(content), 0o644
             tar.addfile(entry, io.BytesIO(content))
-    return {name: hash_file(folder / name)}
+    return {name: hash_file(folder / name, max_bytes=NO_LIMIT)}
 
 
 def write_part_record(folder: Path, index: int, record: PartRecord) -> None:
@@ -348,7 +352,7 @@ def iterate_faults(folder: Path, record: PartRecord) -> Iterator[str]:
     for name, digest in record.files.items():
         if not (folder / name).exists():
             yield f"{name}: missing"
-        elif hash_file(folder / name) != digest:
+        elif hash_file(folder / name, max_bytes=NO_LIMIT) != digest:
             yield f"{name}: changed"
 
 

@@ -2,7 +2,7 @@
 
 import csv
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any, TextIO
 from ..core.checks import InputError
 from ..data.user_files import convert_os_errors
 from .atomic_write import replace_file
+from .cohort_records import write_json
 
 # Number of rows that are written to a Parquet file together.
 _ROWS_PER_GROUP = 10_000
@@ -81,6 +82,25 @@ def require_parquet() -> None:
         raise InputError("parquet must be off without the package pyarrow, got parquet = on: install 'pssf[parquet]'")
 
 
+def write_new_json(path: Path, content: Any) -> None:
+    """Write a JSON file unless it exists.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+    content : object
+        JSON-ready content.
+
+    Raises
+    ------
+    InputError
+        The disk is full, or the file cannot be written.
+    """
+    if not path.exists():
+        write_json(path, content)
+
+
 def get_file_size(path: Path) -> int:
     """Return the size of a file.
 
@@ -97,20 +117,24 @@ def get_file_size(path: Path) -> int:
     return path.stat().st_size
 
 
-def read_index_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
-    """Read the index of a data set.
+def read_index_table(path: Path, split: str, names: Sequence[str]) -> tuple[list[str], list[list[str]]]:
+    """Read columns of the index of a data set.
 
     Parameters
     ----------
     path : Path
         File index.csv.
+    split : str
+        Subset whose rows are read.
+    names : sequence of str
+        Names of the columns to read.
 
     Returns
     -------
     columns : list of str
-        Names of the columns.
-    rows : list of dict
-        Text of each cell, keyed by column.
+        Names of all columns.
+    rows : list of list of str
+        Text of the requested cells of each row.
 
     Raises
     ------
@@ -119,7 +143,8 @@ def read_index_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
     """
     with convert_os_errors(path, "the index of a complete data set"), open(path, encoding="utf-8", newline="") as file:
         reader = csv.DictReader(file)
-        return list(reader.fieldnames or ()), list(reader)
+        rows = [[row[name] for name in names] for row in reader if row["split"] == split]
+        return list(reader.fieldnames or ()), rows
 
 
 def write_coco_file(
