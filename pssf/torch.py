@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from .core.checks import InputError, require_choice, require_integer
 from .dataset import DatasetSettings, DatasetTables, load_dataset_tables, make_subject_samples
 from .dataset.coco_instances import decode_run_lengths
-from .dataset.dataset_settings import IMAGE_KINDS
+from .dataset.dataset_settings import IMAGE_KINDS, SPLITS
+from .dataset.dataset_specification import read_dataset_settings, read_label_map
 from .dataset.dataset_summary import list_landmarks
-from .dataset.dataset_verification import read_dataset_settings, read_label_map
 from .dataset.label_map import find_mask_class
 from .dataset.sample_files import collect_labels
 from .io.dataset_files import read_maps, read_pixels, read_sample_labels
@@ -97,7 +97,7 @@ class KneeDataset(Dataset[Item]):
         keep: Sequence[str] = (),
         transform: Transform | None = None,
     ) -> None:
-        require_choice("split", split, ("train", "validation", "test"))
+        require_choice("split", split, SPLITS)
         self.folder, self.split, self.image, self.transform = Path(folder), split, image, transform
         settings = read_dataset_settings(self.folder)
         self.keep, self.map_names = _require_parts(keep, settings), settings.maps
@@ -119,9 +119,7 @@ class KneeDataset(Dataset[Item]):
     def __getitem__(self, index: int) -> Item:
         """Read one image with its labels."""
         name, labels = self.names[index], self.read_labels(index)
-        pixels, drawn = (
-            read_pixels(self.folder, self.split, kind, name) for kind in (self.image, "label_map")
-        )  # fmt: skip
+        pixels, drawn = (read_pixels(self.folder, self.split, kind, name) for kind in (self.image, "label_map"))
         coded = labels["instances"] if "masks" in self.keep else []
         masks = {one["name"]: decode_run_lengths(one["segmentation"]) for one in coded}
         maps = read_maps(self.folder, self.split, name) if "maps" in self.keep else {}
@@ -248,9 +246,9 @@ def _require_parts(keep: Sequence[str], settings: DatasetSettings) -> tuple[str,
 def _list_landmarks(settings: DatasetSettings, tables: DatasetTables) -> tuple[str, ...]:
     """List the landmarks of all protocols; the first subject is simulated with few pixels."""
     names = dict[str, None]()
+    plain = replace(settings, knees_per_subject=1, pairs="none", crop_mm=0.0, randomise=(), maps=())
     for protocol in tables.protocols:
-        small = replace(tables, protocols=(protocol.resample(_SMALL_MATRIX),) * len(tables.protocols))
-        plain = replace(settings, crop_mm=0.0, randomise=(), maps=())
+        small = replace(tables, protocols=(protocol.resample(_SMALL_MATRIX),))
         names |= dict.fromkeys(make_subject_samples(plain, small, 0, "train")[0].landmarks_px)
     return tuple(sorted(names))
 

@@ -93,7 +93,7 @@ def find_imported_modules(name):
     return {modules[module].relative_to(ROOT).as_posix() for module in visited if module}
 
 
-COHORT = (*cohort_maker._CODE_PATHS, *code_hash.list_pixel_data_files())
+COHORT = (*cohort_maker.CODE_PATHS, *code_hash.list_pixel_data_files())
 
 
 @pytest.mark.parametrize(

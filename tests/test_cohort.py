@@ -417,7 +417,7 @@ def test_a_worker_with_another_folder_library_or_code_raises_an_error(protocols,
         "folder": folder,
         "claim": "cohort.json",
         "claim_sha256": claim,
-        "code_hashes": code_hash.compute_code_hashes((*cohort_maker._CODE_PATHS, *code_hash.list_pixel_data_files())),
+        "code_hashes": code_hash.compute_code_hashes((*cohort_maker.CODE_PATHS, *code_hash.list_pixel_data_files())),
         "versions": run_environment.collect_versions(),
     }
     site = run_environment.RunEnvironment(

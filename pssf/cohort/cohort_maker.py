@@ -22,16 +22,11 @@ from ..raycast import ENGINES, trace
 from ..raycast.detector_clearance import move_clear_of_detector
 from ..simulation import collect_versions, simulate
 from .cohort_plan import Case, Exposure, Plan
-from .run_environment import RunEnvironment, require_same_environment
+from .run_environment import CODE_PATHS, RunEnvironment, require_same_environment
 
 Row = dict[str, Any]
 # Folders in which pssf writes cohort files, relative to the cohort folder; "" is the cohort folder itself.
 SUBFOLDERS = ("", "images", "masks", "records")
-# Subpackages and modules that affect the pixels and files of a cohort; cohort.json stores their hashes.
-_CODE_PATHS = (
-    *("anatomy", "cohort", "core", "detector", "geometry", "io", "model", "raycast", "scatter"),
-    *("image_faults.py", "simulation.py", "stages.py", "xray"),
-)
 
 
 def make_cohort(
@@ -87,7 +82,7 @@ def make_cohort(
     if scheduler is not None:
         require_scheduler(scheduler)
     folder = Path(folder)
-    code = compute_code_hashes((*_CODE_PATHS, *list_pixel_data_files()))
+    code = compute_code_hashes((*CODE_PATHS, *list_pixel_data_files()))
     asked = {**plan.build_request(), "engine": engine, "versions": collect_versions(), "code": code}
     claim = cohort_records.claim_folder(folder / "cohort.json", asked)
     _remove_temporary_files(folder)

@@ -11,6 +11,11 @@ from ..data.code_hash import require_same_code
 from ..io.cohort_records import require_claimed_folder
 from ..simulation import collect_versions
 
+# Subpackages and modules that affect the pixels and files of a run; its specification stores their hashes.
+CODE_PATHS = (
+    *("anatomy", "cohort", "core", "detector", "geometry", "io", "model", "raycast", "scatter"),
+    *("image_faults.py", "simulation.py", "stages.py", "xray"),
+)
 # Module of each library that encodes image files. tifffile uses imagecodecs only where it is installed.
 _FILE_LIBRARIES = {"imagecodecs": "imagecodecs", "pillow": "PIL", "tifffile": "tifffile"}
 

@@ -6,27 +6,26 @@ from pathlib import Path
 from typing import Any
 
 from ..io.atomic_write import write_bytes
-from ..io.cohort_records import hash_file
+from ..io.cohort_records import hash_file, write_json
 from ..io.dataset_files import (
     CROISSANT_FILE,
     DESCRIPTION,
     NO_LIMIT,
     SETTINGS_FILE,
     PartRecord,
+    name_image_file,
     read_part,
     read_sample_labels,
     write_part_record,
 )
 from ..io.dataset_index_files import (
-    get_file_size,
     write_coco_file,
     write_index_table,
-    write_new_json,
     write_parquet_table,
 )
 from .coco_instances import make_annotations, make_categories
 from .dataset_croissant import build_croissant_metadata
-from .dataset_plan import count_parts
+from .dataset_plan import count_parts, find_part
 from .dataset_settings import SPLITS, DatasetSettings
 from .dataset_summary import summarise_index
 from .dataset_tables import DatasetTables
@@ -67,22 +66,23 @@ def write_description(settings: DatasetSettings, tables: DatasetTables, folder: 
         names.append("index.parquet")
         write_parquet_table(folder / "index.parquet", summary.columns, _iterate_flat_rows(settings, folder))
     if settings.layout == "folder":
-        for split in SPLITS:
-            names += _write_coco(settings, tables, folder, split, summary.landmarks)
-    # The publisher may have added a licence to an existing file.
-    write_new_json(
-        folder / CROISSANT_FILE,
-        build_croissant_metadata(settings, summary, hash_file(path, max_bytes=NO_LIMIT), get_file_size(path)),
-    )
+        with_images = {split for split, _ in summary.counts}
+        for split in (split for split in SPLITS if split in with_images):
+            names.append(f"coco_{split}.json")
+            _write_coco(settings, tables, folder / names[-1], split, summary.landmarks)
     write_bytes(folder / "datasheet.md", render_dataset_datasheet(settings, tables, summary).encode())
     hashes = {name: hash_file(folder / name, max_bytes=NO_LIMIT) for name in names}
+    # The publisher may have added a licence to an existing file.
+    if not (folder / CROISSANT_FILE).exists():
+        metadata = build_croissant_metadata(settings, summary, hashes[path.name], path.stat().st_size)
+        write_json(folder / CROISSANT_FILE, metadata)
     claim = hash_file(folder / SETTINGS_FILE)
     write_part_record(folder, DESCRIPTION, PartRecord(rows=[], files=hashes, settings_sha256=claim))
     return path
 
 
-def iterate_rows(settings: DatasetSettings, folder: Path) -> Iterator[Row]:
-    """Yield the labels of all images in the order of the parts.
+def iterate_rows(settings: DatasetSettings, folder: Path, split: str | None = None) -> Iterator[Row]:
+    """Yield the labels of all images, or those of a subset, in the order of the parts.
 
     Parameters
     ----------
@@ -90,6 +90,8 @@ def iterate_rows(settings: DatasetSettings, folder: Path) -> Iterator[Row]:
         Settings of the data set.
     folder : Path
         Folder of the data set.
+    split : str, optional
+        Subset; None: all subsets.
 
     Yields
     ------
@@ -97,6 +99,8 @@ def iterate_rows(settings: DatasetSettings, folder: Path) -> Iterator[Row]:
         Labels of an image.
     """
     for index in range(count_parts(settings)):
+        if split not in (None, find_part(settings, index).split):
+            continue
         record = read_part(folder, index)
         yield from record.rows if record else ()
 
@@ -134,41 +138,31 @@ def _iterate_flat_rows(settings: DatasetSettings, folder: Path) -> Iterator[Row]
     return (flatten_row(row) for row in iterate_rows(settings, folder))
 
 
-def _write_coco(
-    settings: DatasetSettings, tables: DatasetTables, folder: Path, split: str, keypoints: list[str]
-) -> list[str]:
-    """Write the COCO file of a subset image by image, and return its name; no file for a subset without images."""
-    if next(_iterate_split(settings, folder, split), None) is None:
-        return []
-    kind, suffix = ("display", "png") if "display" in settings.kinds else ("linear", "tif")
+def _write_coco(settings: DatasetSettings, tables: DatasetTables, path: Path, split: str, keypoints: list[str]) -> None:
+    """Write the COCO file of a subset image by image."""
+    folder, kind = path.parent, "display" if "display" in settings.kinds else "linear"
     images = (
         {
             "id": image_id,
-            "file_name": f"{split}/{kind}/{row['name']}.{suffix}",
+            "file_name": name_image_file(split, kind, row["name"]),
             "height": row["rows"],
             "width": row["cols"],
         }
-        for image_id, row in enumerate(_iterate_split(settings, folder, split), start=1)
+        for image_id, row in enumerate(iterate_rows(settings, folder, split), start=1)
     )
     write_coco_file(
-        folder / f"coco_{split}.json",
+        path,
         info={"description": "Knee radiographs simulated by pssf; labels are true by construction."},
         categories=make_categories(tables.definitions.label_map, keypoints),
         images=images,
         annotations=_iterate_annotations(settings, folder, split, keypoints),
     )
-    return [f"coco_{split}.json"]
-
-
-def _iterate_split(settings: DatasetSettings, folder: Path, split: str) -> Iterator[Row]:
-    """Yield the labels of the images of a subset."""
-    return (row for row in iterate_rows(settings, folder) if row["split"] == split)
 
 
 def _iterate_annotations(settings: DatasetSettings, folder: Path, split: str, keypoints: list[str]) -> Iterator[Row]:
     """Yield the COCO annotations of a subset with their numbers."""
     number = 1
-    for image_id, row in enumerate(_iterate_split(settings, folder, split), start=1):
+    for image_id, row in enumerate(iterate_rows(settings, folder, split), start=1):
         entry = read_sample_labels(folder, split, row["name"])
         for annotation in make_annotations(entry, keypoints, image_id, number):
             yield annotation

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from ..cohort.run_environment import RunEnvironment, find_file_library_versions, require_same_environment
+from ..cohort.run_environment import CODE_PATHS, RunEnvironment, find_file_library_versions, require_same_environment
 from ..core.checks import InputError, require_workers
 from ..core.processes.parallel_map import count_cores, map_in_parallel, require_scheduler
 from ..data.code_hash import compute_code_hashes, list_pixel_data_files
@@ -24,14 +24,8 @@ from .dataset_tables import DatasetTables, load_dataset_tables
 from .sample_files import collect_labels, encode_sample
 from .subject_samples import make_subject_samples
 
-# Subpackages and modules that affect the files of a data set; dataset.json stores their hashes.
-_CODE_PATHS = (
-    *("anatomy", "cohort", "core", "dataset", "detector", "geometry", "io", "model", "raycast", "scatter"),
-    *("image_faults.py", "simulation.py", "stages.py", "xray"),
-    # The second visit of a pair depends on the rates of progression.
-    *("data/progress.toml", "data/knees/progression_table.py"),
-)
-
+# Further code that affects the files of a data set: its own, and rates of progression for the second visit of a pair.
+_OWN_CODE_PATHS = ("dataset", "data/progress.toml", "data/knees/progression_table.py")
 # Number of parts whose files are checked together.
 _PARTS_PER_BATCH = 10_000
 
@@ -85,7 +79,7 @@ def make_dataset(
         require_scheduler(scheduler)
     folder, tables = Path(folder), load_dataset_tables(settings)
     versions = {**collect_versions(), **find_file_library_versions()}
-    code = compute_code_hashes((*_CODE_PATHS, *list_pixel_data_files()))
+    code = compute_code_hashes((*CODE_PATHS, *_OWN_CODE_PATHS, *list_pixel_data_files()))
     specified = {
         "settings": settings.to_dict(),
         "grade_table": msgspec.json.decode(msgspec.json.encode(tables.distributions.grades)),
@@ -172,11 +166,11 @@ def _find_missing_parts(
         record = dataset_files.read_part(folder, index, claim)
         if record is None:
             return None
-        faults = list(dataset_files.iterate_faults(folder, record))
-        changed = [fault for fault in faults if fault.endswith("changed")]
-        if changed:
+        faults = dict(dataset_files.iterate_faults(folder, record))
+        changed = next((name for name, fault in faults.items() if fault == dataset_files.CHANGED), None)
+        if changed is not None:
             hint = f"delete {dataset_files.record_path(folder, index)} to make its part again"
-            raise InputError(f"file {folder / changed[0].split(':')[0]} must be unchanged, got other content; {hint}")
+            raise InputError(f"file {folder / changed} must be unchanged, got other content; {hint}")
         return None if faults else len(record.rows)
 
     missing = list[int]()

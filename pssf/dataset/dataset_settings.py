@@ -1,7 +1,6 @@
 """Settings of a data set."""
 
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 from ..core.checks import InputError, require_choice, require_in_range, require_integer, require_seed
@@ -159,32 +158,3 @@ class DatasetSettings:
             Values keyed by field name.
         """
         return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
-
-
-def read_settings(table: Any, path: Path) -> DatasetSettings:
-    """Convert the settings in a dataset.json.
-
-    Parameters
-    ----------
-    table : object
-        Entry ``settings`` of the file.
-    path : Path
-        Path of the file, shown in error messages.
-
-    Returns
-    -------
-    DatasetSettings
-        Settings.
-
-    Raises
-    ------
-    InputError
-        If the entry has unknown names or values.
-    """
-    try:
-        values: dict[str, Any] = {name: tuple(of) if isinstance(of, list) else of for name, of in table.items()}
-        return DatasetSettings(**values)
-    except (AttributeError, TypeError) as error:
-        raise InputError(
-            f"file {path} must contain valid settings of a data set, got an unknown or missing entry: {error}"
-        ) from None

@@ -1,10 +1,7 @@
 """Verify the files of a data set against the hashes in its records."""
 
 from pathlib import Path
-from typing import Any
 
-from ..core.checks import InputError
-from ..data.user_files import read_json
 from ..io.cohort_records import hash_file
 from ..io.dataset_files import (
     CROISSANT_FILE,
@@ -16,7 +13,7 @@ from ..io.dataset_files import (
     record_path,
 )
 from .dataset_plan import count_parts
-from .dataset_settings import DatasetSettings, read_settings
+from .dataset_specification import read_dataset_settings
 
 
 def verify_dataset(folder: str | Path) -> tuple[int, list[str]]:
@@ -50,59 +47,6 @@ def verify_dataset(folder: str | Path) -> tuple[int, list[str]]:
             faults.append("index.csv: not finished" if index == DESCRIPTION else f"part {index}: not finished")
             continue
         images += len(record.rows)
-        faults += iterate_faults(folder, record)
+        faults += [f"{name}: {fault}" for name, fault in iterate_faults(folder, record)]
         known |= {*record.files, record_path(folder, index).relative_to(folder).as_posix()}
     return images, [*faults, *(f"{name}: not part of the data set" for name in list_files(folder) if name not in known)]
-
-
-def read_dataset_settings(folder: Path) -> DatasetSettings:
-    """Read the settings of a data set from its folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the data set.
-
-    Returns
-    -------
-    DatasetSettings
-        Settings.
-
-    Raises
-    ------
-    InputError
-        If the folder contains no data set, or the file is damaged.
-    """
-    return read_settings(_read_specification(folder).get("settings"), folder / SETTINGS_FILE)
-
-
-def read_label_map(folder: Path) -> dict[str, int]:
-    """Read the values of the label map from the folder of a data set.
-
-    Parameters
-    ----------
-    folder : Path
-        Folder of the data set.
-
-    Returns
-    -------
-    dict of str to int
-        Value of each class.
-
-    Raises
-    ------
-    InputError
-        If the folder contains no data set, or the file is damaged.
-    """
-    values = _read_specification(folder).get("label_map")
-    if not isinstance(values, dict) or not all(isinstance(value, int) for value in values.values()):
-        raise InputError(f"file {folder / SETTINGS_FILE} must contain the values of the label map, got {values!r}")
-    return dict(values)
-
-
-def _read_specification(folder: Path) -> dict[str, Any]:
-    """Read the file that specifies a data set."""
-    if not (folder / SETTINGS_FILE).exists():
-        raise InputError(f"folder must contain a data set made by pssf dataset, got {folder} without {SETTINGS_FILE}")
-    specified: dict[str, Any] = read_json(folder / SETTINGS_FILE, dict[str, Any])
-    return specified

@@ -25,6 +25,8 @@ from .cohort_records import hash_file
 SETTINGS_FILE = "dataset.json"
 # Metadata of the data set; its publisher may change this file.
 CROISSANT_FILE = "croissant.json"
+# Faults of a file.
+MISSING, CHANGED = "missing", "changed"
 # Size limit of hashed files, in bytes: none.
 NO_LIMIT = 2**63
 # Index of the record of the files that describe the complete data set.
@@ -126,6 +128,26 @@ def encode_png(image: NDArray[np.uint8]) -> bytes:
     return buffer.getvalue()
 
 
+def name_image_file(split: str, kind: str, name: str) -> str:
+    """Return the path of an image or a label map, relative to the folder of the data set.
+
+    Parameters
+    ----------
+    split : str
+        Subset.
+    kind : {"linear", "display", "label_map"}
+        Kind of image.
+    name : str
+        Name of the image.
+
+    Returns
+    -------
+    str
+        Path with forward slashes.
+    """
+    return f"{split}/{kind}/{name}.{'tif' if kind == 'linear' else 'png'}"
+
+
 def read_pixels(folder: Path, split: str, kind: str, name: str) -> NDArray[Any]:
     """Read an image or a label map of a data set.
 
@@ -150,7 +172,7 @@ def read_pixels(folder: Path, split: str, kind: str, name: str) -> NDArray[Any]:
     InputError
         The file is missing or damaged.
     """
-    path = folder / split / kind / f"{name}.{'tif' if kind == 'linear' else 'png'}"
+    path = folder / name_image_file(split, kind, name)
     with _convert_read_errors(path):
         if kind == "linear":
             return np.asarray(tifffile.imread(path))
@@ -334,8 +356,8 @@ def read_part(folder: Path, index: int, claim: str | None = None) -> PartRecord 
     return record
 
 
-def iterate_faults(folder: Path, record: PartRecord) -> Iterator[str]:
-    """Yield one line for each missing or changed file of a part.
+def iterate_faults(folder: Path, record: PartRecord) -> Iterator[tuple[str, str]]:
+    """Yield each missing or changed file of a part.
 
     Parameters
     ----------
@@ -346,14 +368,14 @@ def iterate_faults(folder: Path, record: PartRecord) -> Iterator[str]:
 
     Yields
     ------
-    str
-        File and kind of fault.
+    tuple of (str, str)
+        Path relative to `folder`, and `MISSING` or `CHANGED`.
     """
     for name, digest in record.files.items():
         if not (folder / name).exists():
-            yield f"{name}: missing"
+            yield name, MISSING
         elif hash_file(folder / name, max_bytes=NO_LIMIT) != digest:
-            yield f"{name}: changed"
+            yield name, CHANGED
 
 
 def record_path(folder: Path, index: int) -> Path:

@@ -11,7 +11,6 @@ from typing import Any, TextIO
 from ..core.checks import InputError
 from ..data.user_files import convert_os_errors
 from .atomic_write import replace_file
-from .cohort_records import write_json
 
 # Number of rows that are written to a Parquet file together.
 _ROWS_PER_GROUP = 10_000
@@ -80,41 +79,6 @@ def require_parquet() -> None:
     """
     if find_spec("pyarrow") is None:
         raise InputError("parquet must be off without the package pyarrow, got parquet = on: install 'pssf[parquet]'")
-
-
-def write_new_json(path: Path, content: Any) -> None:
-    """Write a JSON file unless it exists.
-
-    Parameters
-    ----------
-    path : Path
-        File to write.
-    content : object
-        JSON-ready content.
-
-    Raises
-    ------
-    InputError
-        The disk is full, or the file cannot be written.
-    """
-    if not path.exists():
-        write_json(path, content)
-
-
-def get_file_size(path: Path) -> int:
-    """Return the size of a file.
-
-    Parameters
-    ----------
-    path : Path
-        File.
-
-    Returns
-    -------
-    int
-        Size, in bytes.
-    """
-    return path.stat().st_size
 
 
 def read_index_table(path: Path, split: str, names: Sequence[str]) -> tuple[list[str], list[list[str]]]:
