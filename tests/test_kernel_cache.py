@@ -30,12 +30,13 @@ DAMAGES = {
     "flipped": lambda content: content[:-200] + bytes([content[-200] ^ 255]) + content[-199:],
 }
 KERNELS = """
-import importlib, pkgutil, sys
+import importlib, importlib.util, pkgutil, sys
 import pssf
 from numba.core.dispatcher import Dispatcher
 
+needs_missing_extra = {"pssf.torch"} if importlib.util.find_spec("torch") is None else set()
 for module in pkgutil.walk_packages(pssf.__path__, "pssf."):
-    if not module.name.rpartition(".")[2].startswith("__"):
+    if not module.name.rpartition(".")[2].startswith("__") and module.name not in needs_missing_extra:
         importlib.import_module(module.name)
 found = {
     id(one): type(one._cache).__name__
