@@ -12,5 +12,5 @@ def build_posed_bones(knee: Knee, assembly: KneeAssembly) -> dict[str, bone_shel
     """Build the solids of each bone, by name."""
     with ThreadPoolExecutor(1) as background:
         depths_mm = bone_shells.compute_cortex_depths_mm(assembly.bone_parameters)
-        placed = place_bones(knee, assembly, build_bones(knee, assembly, depths_mm), background)
+        placed = place_bones(knee, assembly, build_bones(knee, assembly, depths_mm, background))
     return {name: part.solids for name, part in placed.items()}

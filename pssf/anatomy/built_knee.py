@@ -47,7 +47,8 @@ from .posture.knee_assembly import GrownBones, KneeAssembly, grow_bones, load_js
 from .posture.placed_bones import PlacedBone, UnplacedBones, build_bones, place_bones
 from .posture.plateau_margins import align_beam_with_plateau, measure_inter_margin_mm
 from .soft_tissue import limb_layers
-from .soft_tissue.joint_tissues import CoveredBone, build_cartilage, build_joint_tissues
+from .soft_tissue.cartilage_and_menisci import CartilageLayer
+from .soft_tissue.joint_tissues import CoveredBone, build_cartilage, build_joint_tissues, cover_bones
 from .subchondral_cysts import CystSolids, build_cyst_meshes, place_cysts
 from .surgery import SurgicalMethods, SurgicalStep, apply_surgery_to_parts
 from .template.bone_builder import BoneParameters, resolve_bone_parameters
@@ -408,11 +409,11 @@ def build_in_posture(
         if last.grown is None:
             last.grown = grow_bones(knee, last.bone_parameters, load_jsw_protocol(knee))
         assembly = pose_knee(knee, last.grown, posture)
-        cartilage = aside.submit(build_cartilage, knee, assembly)
+        cartilage = aside.submit(_cover_bones, last, assembly)
         if shells is not None:
-            last.unplaced = build_bones(knee, last.grown, shells.result())
+            last.unplaced = build_bones(knee, last.grown, shells.result(), aside)
         assert last.unplaced is not None
-        placed = place_bones(knee, assembly, last.unplaced, aside)
+        placed = place_bones(knee, assembly, last.unplaced)
         solids = {name: part.solids for name, part in placed.items()}
         attrition = _find_attrition_mm(knee, assembly, placed["tibia"].is_worn)
         cysts = place_cysts(knee, assembly, solids, attrition)
@@ -443,6 +444,7 @@ class _LastKnee:
     bone_parameters: BoneParameters
     grown: GrownBones | None = None
     unplaced: UnplacedBones | None = None
+    cartilage: tuple[CartilageLayer, CartilageLayer] | None = None
 
 
 def _recall_last_knee(knee: Knee, tables: AnatomyTables) -> _LastKnee:
@@ -453,6 +455,14 @@ def _recall_last_knee(knee: Knee, tables: AnatomyTables) -> _LastKnee:
         bone_shells.prepare_template_bones(bone_parameters)
         last = _LAST.knee = _LastKnee(knee, tables, bone_parameters)
     return last
+
+
+def _cover_bones(last: _LastKnee, assembly: KneeAssembly) -> tuple[CoveredBone, CoveredBone]:
+    """Cover femur and tibia with their cartilage, and keep the cartilage layers for another posture."""
+    if last.cartilage is None:
+        assert last.grown is not None
+        last.cartilage = build_cartilage(last.knee, last.grown)
+    return cover_bones(last.cartilage, assembly)
 
 
 def _find_attrition_mm(knee: Knee, assembly: KneeAssembly, is_worn: bool) -> Mapping[str, float] | None:

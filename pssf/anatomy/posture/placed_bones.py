@@ -41,15 +41,20 @@ class UnplacedBones:
     ----------
     solids : dict of str to Bone
         Femur, tibia, fibula and patella, and the fabella if present, in mm. The fibula is in the frame of the tibia.
+    is_nested : dict of str to bool
+        True for each bone whose trabecular bone is inside its outer surface.
     fabella_frame : (3, 4) float64 array or None
         Transform from the frame of the fabella to the frame of the femur.
     """
 
     solids: dict[str, bone_shells.Bone]
+    is_nested: dict[str, bool]
     fabella_frame: Array | None = None
 
 
-def build_bones(knee: Knee, grown: GrownBones | KneeAssembly, cortex_depths_mm: tuple[Array, Array]) -> UnplacedBones:
+def build_bones(
+    knee: Knee, grown: GrownBones | KneeAssembly, cortex_depths_mm: tuple[Array, Array], executor: Executor
+) -> UnplacedBones:
     """Build all bones of a right knee, each in its own frame.
 
     Parameters
@@ -60,6 +65,8 @@ def build_bones(knee: Knee, grown: GrownBones | KneeAssembly, cortex_depths_mm: 
         Femur and tibia with their osteophytes.
     cortex_depths_mm : two (n,) float64 arrays
         Thickness of cortex and subchondral bone plate of femur and tibia, in mm, from `compute_cortex_depths_mm`.
+    executor : concurrent.futures.Executor
+        Executor for parallel computations.
 
     Returns
     -------
@@ -77,15 +84,14 @@ def build_bones(knee: Knee, grown: GrownBones | KneeAssembly, cortex_depths_mm: 
     patella = small_bones.build_patella(build)
     fibula = small_bones.build_fibula(knee, build, tibia.outer)
     solids = {"femur": femur, "tibia": tibia, "fibula": fibula, "patella": patella}
-    if not knee.fabella_mm:
-        return UnplacedBones(solids)
-    fabella, in_femur = small_bones.build_fabella(knee, build, femur.outer)
-    return UnplacedBones({**solids, "fabella": fabella}, in_femur)
+    in_femur = None
+    if knee.fabella_mm:
+        solids["fabella"], in_femur = small_bones.build_fabella(knee, build, femur.outer)
+    nested = dict(zip(solids, executor.map(is_nested, solids.values()), strict=True))
+    return UnplacedBones(solids, nested, in_femur)
 
 
-def place_bones(
-    knee: Knee, assembly: KneeAssembly, unplaced: UnplacedBones, executor: Executor
-) -> dict[str, PlacedBone]:
+def place_bones(knee: Knee, assembly: KneeAssembly, unplaced: UnplacedBones) -> dict[str, PlacedBone]:
     """Place all bones of a right knee in its posture.
 
     Parameters
@@ -96,8 +102,6 @@ def place_bones(
         Bones and their pose.
     unplaced : UnplacedBones
         Solids of the bones, from `build_bones`.
-    executor : concurrent.futures.Executor
-        Executor for parallel computations.
 
     Returns
     -------
@@ -129,9 +133,10 @@ def place_bones(
     whole = placed["tibia"].solids
     tibia = wear_tibia(whole, placed["femur"].solids.outer, plate_mm)
     placed |= {"tibia": replace(placed["tibia"], solids=tibia, is_worn=tibia is not whole)}
-    nests = dict(zip(placed, executor.map(lambda part: is_nested(part.solids), placed.values()), strict=True))
     return {
-        name: part if nests[name] else replace(part, solids=repair_nesting(name, part.solids))
+        name: part
+        if (is_nested(part.solids) if part.is_worn else unplaced.is_nested[name])
+        else replace(part, solids=repair_nesting(name, part.solids))
         for name, part in placed.items()
     }
 

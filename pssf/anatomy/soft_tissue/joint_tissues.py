@@ -15,8 +15,9 @@ from ...model.knee import Knee
 from ..bones import bone_shells
 from ..meshing.bounding_solid import build_envelope
 from ..meshing.solids import build_solid, extract_mesh
-from ..posture.knee_assembly import KneeAssembly
+from ..posture.knee_assembly import GrownBones, KneeAssembly
 from . import cartilage_and_menisci
+from .cartilage_and_menisci import CartilageLayer
 from .tendons_and_fat_pad import build_fat_pad, build_patellar_tendon, build_quadriceps_tendon
 
 # Smallest volume of a tissue component, in mm3. Subtraction leaves smaller splinters, which are removed.
@@ -65,18 +66,43 @@ class CoveredBone:
         Vertices of the bone covered by its cartilage, in the knee frame, in mm.
     """
 
-    layer: cartilage_and_menisci.CartilageLayer
+    layer: CartilageLayer
     cartilage_part: SoftTissuePart
     top_mm: Array
 
 
-def build_cartilage(knee: Knee, assembly: KneeAssembly) -> tuple[CoveredBone, CoveredBone]:
-    """Build the cartilage of femur and tibia.
+def build_cartilage(knee: Knee, grown: GrownBones) -> tuple[CartilageLayer, CartilageLayer]:
+    """Build the cartilage layers of femur and tibia, which are the same for every posture.
 
     Parameters
     ----------
     knee : Knee
         Parameters of the knee, including the medial and lateral JSW.
+    grown : GrownBones
+        Femur and tibia with their osteophytes.
+
+    Returns
+    -------
+    tuple of CartilageLayer
+        Layers of femur and tibia at template size.
+    """
+    shape, s = grown.bone_parameters.shape, grown.bone_parameters.scale
+    spaces_mm = (knee.jsw_medial_mm, knee.jsw_lateral_mm)
+    return (
+        cartilage_and_menisci.build_femoral_cartilage(grown.femur.mesh, shape, s, spaces_mm),
+        cartilage_and_menisci.build_tibial_cartilage(grown.tibia.mesh, shape, s, spaces_mm),
+    )
+
+
+def cover_bones(
+    layers: tuple[CartilageLayer, CartilageLayer], assembly: KneeAssembly
+) -> tuple[CoveredBone, CoveredBone]:
+    """Place the cartilage of femur and tibia in the knee frame.
+
+    Parameters
+    ----------
+    layers : tuple of CartilageLayer
+        Layers of femur and tibia, from `build_cartilage`.
     assembly : KneeAssembly
         Bones of the knee and their pose.
 
@@ -85,23 +111,17 @@ def build_cartilage(knee: Knee, assembly: KneeAssembly) -> tuple[CoveredBone, Co
     tuple of CoveredBone
         Femur and tibia.
     """
-    shape, s = assembly.bone_parameters.shape, assembly.bone_parameters.scale
-    spaces_mm = (knee.jsw_medial_mm, knee.jsw_lateral_mm)
 
-    def covered(
-        name: str, layer: cartilage_and_menisci.CartilageLayer, bone_mm: Array, move: Callable[[Array], Array]
-    ) -> CoveredBone:
+    def covered(name: str, layer: CartilageLayer, bone_mm: Array, move: Callable[[Array], Array]) -> CoveredBone:
         thick, top_mm = layer.has_cartilage, bone_mm.copy()
         top_mm[thick] = move(layer.top[thick])
         used, number = np.unique(layer.select_cartilage_faces(), return_inverse=True)
         mesh = Mesh(np.vstack((bone_mm, top_mm))[used], number.reshape(-1, 3))
         return CoveredBone(layer, SoftTissuePart(name, "cartilage", mesh), top_mm)
 
-    femur = cartilage_and_menisci.build_femoral_cartilage(assembly.femur.mesh, shape, s, spaces_mm)
-    tibia = cartilage_and_menisci.build_tibial_cartilage(assembly.tibia.mesh, shape, s, spaces_mm)
     return (
-        covered("femur_cartilage", femur, assembly.outer_femur_vertices_mm(), assembly.place_femur_points),
-        covered("tibia_cartilage", tibia, assembly.outer_tibia_vertices_mm(), assembly.place_tibia_points),
+        covered("femur_cartilage", layers[0], assembly.outer_femur_vertices_mm(), assembly.place_femur_points),
+        covered("tibia_cartilage", layers[1], assembly.outer_tibia_vertices_mm(), assembly.place_tibia_points),
     )
 
 
