@@ -13,6 +13,7 @@ Imaging
     - ``stages``: run time of each stage of ``simulate`` in the first run after installation and in later runs.
     - ``chain``: run time, fraction of the total and error of each stage of ``simulate``.
     - ``throughput``: CPU time, memory and disk space per radiograph with labels and masks, for sampled knees.
+    - ``worker_scaling``: run time of one and of two workers for the same radiographs.
     - ``spectrum``: error and run time of the attenuation by number of energies of the reduced spectrum.
     - ``focal_spot``: focal-spot blur compared with ray casting from many points of the focal spot.
     - ``physics``: spectrum, attenuation, primary and scattered signal compared with reference values.
@@ -61,7 +62,7 @@ from .imaging.positioning_criteria import measure_positioning_criteria
 from .imaging.scatter_phantoms import compare_kernel_with_monte_carlo
 from .imaging.stage_errors import measure_imaging_chain
 from .imaging.stage_times import measure_cold_and_warm_runs, measure_spectrum_nodes
-from .imaging.throughput import measure_throughput
+from .imaging.throughput import measure_throughput, measure_worker_scaling
 from .imaging.view_effects import compare_views_with_literature
 from .imaging.view_scatter import compare_scatter_by_view
 from .knees.build_success import measure_knee_builds
@@ -86,7 +87,8 @@ DEFAULT_TABLES = (
 )  # fmt: skip
 # These tables are measured only on request, because they take minutes or need another package.
 OPTIONAL_TABLES = (
-    "throughput", "localisation", "localisation_limits", "coverage", "refutation", "ablation", "backends", "gvxr",
+    "throughput", "worker_scaling", "localisation", "localisation_limits", "coverage", "refutation",
+    "ablation", "backends", "gvxr",
 )  # fmt: skip
 
 
@@ -171,6 +173,7 @@ def _make_table_jobs(
         "view_scatter": lambda: compare_scatter_by_view(workers),
         "criteria": lambda: measure_positioning_criteria(knees, workers),
         "throughput": lambda: measure_throughput(knees),
+        "worker_scaling": lambda: measure_worker_scaling(knees),
         "localisation": lambda: measure_localisation(knees, workers),
         "localisation_limits": lambda: derive_localisation_limits(knees, workers),
         "coverage": lambda: _import_study_module("interval_coverage").measure_interval_coverage(workers),
