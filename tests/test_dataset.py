@@ -51,6 +51,42 @@ def sample_of_knee():
     return planned, make_sample(planned, settings, tables), settings, tables
 
 
+@pytest.mark.parametrize("pairs", ["none", "visit"])
+def test_a_bilateral_protocol_gives_one_crop_of_the_same_radiograph_per_knee(pairs):
+    settings = DatasetSettings(
+        images=4, knees_per_subject=2, protocols=("bilateral",), crop_mm=140.0, crop_shift_mm=0.0, pairs=pairs, **SMALL
+    )
+    tables = load_dataset_tables(settings)
+    planned = plan_subject(settings, tables, 0, "train")
+    per_knee = 1 if pairs == "none" else 2
+    right, left = planned[:per_knee], planned[per_knee:]
+    for one, two in zip(right, left, strict=True):
+        assert (one.knee, one.other) == (two.other, two.knee)
+        assert (one.protocol, one.seed) == (two.protocol, two.seed)
+        assert (one.knee.side, two.knee.side) == ("right", "left")
+    samples = [make_sample(image, settings, tables) for image in (right[0], left[0])]
+    radiograph = pssf.simulate(
+        (right[0].knee, left[0].knee), right[0].protocol, rng=right[0].seed, engine=settings.engine
+    )
+    for sample, truth in zip(samples, radiograph.truths, strict=True):
+        crop = sample.labels["crop"]
+        rows, cols = (slice(crop[name], crop[name] + SMALL["matrix"]) for name in ("top_px", "left_px"))
+        assert np.array_equal(sample.linear, radiograph.pixels[rows, cols])
+        assert sample.labels["jsw_medial_mm"] == truth.jsw_medial_mm
+        row, col = truth.landmarks_px["joint_centre"]
+        assert sample.landmarks_px["joint_centre"] == (row - crop["top_px"], col - crop["left_px"])
+        assert {sample.labels["side"], sample.labels["other_knee"]["side"]} == {"right", "left"}
+
+
+def test_one_knee_per_subject_in_a_bilateral_radiograph_is_the_same_knee_as_in_other_protocols():
+    one = DatasetSettings(images=6, **SMALL)
+    two = dataclasses.replace(one, protocols=("bilateral",), crop_mm=140.0)
+    plans = [plan(settings, load_dataset_tables(settings), range(6)) for settings in (one, two)]
+    assert [image.knee for image in plans[0]] == [image.knee for image in plans[1]]
+    assert all(image.other is None for image in plans[0])
+    assert all({image.knee.side, image.other.side} == {"right", "left"} for image in plans[1])
+
+
 @pytest.mark.parametrize("changes", [{}, {"knees_per_subject": 2}, {"pairs": "visit"}, {"layout": "shards"}])
 def test_parts_cover_every_subject_once_without_mixing_subsets(changes):
     settings = DatasetSettings(images=101, shard_images=20, **changes)
@@ -412,7 +448,7 @@ def test_a_subject_whose_knee_cannot_be_built_is_sampled_again_with_the_same_gra
         (["--split", "0.5,0.5"], "split must be three fractions, such as 0.7,0.15,0.15, got '0.5,0.5'"),
         (["--split", "0.5,0.5,0.5"], "the sum 1, got 0.5, 0.5, 0.5"),
         (["--pairs", "protocol"], "protocols must be exactly two names for pairs = protocol, got 1"),
-        (["--protocols", "bilateral"], "protocols must"),
+        (["--protocols", "bilateral"], "crop_mm must be above 0 for the protocol bilateral, got 0 mm"),
         (["--crop-mm", "900"], "crop_mm must be at most"),
         (["--kinds", ""], "kinds must be one or more of linear, display, got none"),
         (["--layout", "zip"], "layout must be one of folder, shards, got 'zip'"),

@@ -235,7 +235,7 @@ def test_the_strut_lattice_is_periodic_with_the_specified_bone_fraction():
     assert np.abs(even.integrate(starts + 20.0, ends + 20.0) / even.integrate(starts, ends) - 1).max() > 0.01
 
 
-def test_the_lattice_is_created_once_on_demand_and_cached_for_one_seed(monkeypatch):
+def test_the_lattice_is_created_once_on_demand_and_cached_for_two_knees(monkeypatch):
     made = []
 
     def make(seed, table):
@@ -256,8 +256,11 @@ def test_the_lattice_is_created_once_on_demand_and_cached_for_one_seed(monkeypat
     build_bone("femur", seed=11).integrate(*ends)
     assert made == [11]
     build_bone(seed=12).integrate(*ends)
+    density.integrate(*ends)
     assert made == [11, 12]
-    assert [seed for seed, _ in struts._CACHE] == [12]
+    build_bone(seed=13).integrate(*ends)
+    assert made == [11, 12, 13]
+    assert [seed for seed, _ in struts._CACHE] == [12, 13]
 
 
 def test_projected_struts_are_vertical_fine_and_nearly_gaussian(patch):

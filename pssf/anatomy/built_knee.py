@@ -1,6 +1,5 @@
 """Built knee: the parameters of a knee, its closed surfaces and its labels in one object."""
 
-import threading
 from collections.abc import Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -13,7 +12,7 @@ from manifold3d import Manifold
 from ..core.checks import InputError
 from ..core.keyword_arguments import check_keywords, renamed_attribute
 from ..core.processes.worker_processes import limit_to_one_blas_thread
-from ..data.anatomy.anatomy_tables import AnatomyTables, load_anatomy_tables
+from ..data.anatomy.anatomy_tables import load_anatomy_tables
 from ..data.knees.field_definitions import beam_angle_range_deg
 from ..data.knees.oarsi_table import OarsiThresholds, load_oarsi_thresholds
 from ..data.table_records import Pair
@@ -41,21 +40,17 @@ from .labels.surgery_labels import (
     find_replaced_sides,
     require_visible_bone,
 )
+from .last_knee import recall_last_knee
 from .meshing.solids import extract_mesh, require_valid_solid
 from .posture.attrition import measure_attrition_mm
-from .posture.knee_assembly import GrownBones, KneeAssembly, grow_bones, load_jsw_protocol, pose_knee
-from .posture.placed_bones import PlacedBone, UnplacedBones, build_bones, place_bones
+from .posture.knee_assembly import KneeAssembly, grow_bones, load_jsw_protocol, pose_knee
+from .posture.placed_bones import PlacedBone, build_bones, place_bones
 from .posture.plateau_margins import align_beam_with_plateau, measure_inter_margin_mm
 from .soft_tissue import limb_layers
-from .soft_tissue.cartilage_and_menisci import CartilageLayer
-from .soft_tissue.joint_tissues import CoveredBone, build_cartilage, build_joint_tissues, cover_bones
+from .soft_tissue.joint_tissues import CoveredBone, build_joint_tissues
 from .subchondral_cysts import CystSolids, build_cyst_meshes, place_cysts
 from .surgery import SurgicalMethods, SurgicalStep, apply_surgery_to_parts
-from .template.bone_builder import BoneParameters, resolve_bone_parameters
 from .trabeculae.trabecular_density import BONES
-
-# Parts of the last knee that each thread has built, so that another posture of this knee takes less time.
-_LAST = threading.local()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -401,7 +396,7 @@ def build_in_posture(
     InputError
         If the parameters leave too little space for a solid.
     """
-    last = _recall_last_knee(knee, load_anatomy_tables())
+    last = recall_last_knee(knee, load_anatomy_tables())
     # The thread pool runs only functions that do not create solids of the scene. If two threads created solids, the
     # order of the triangles would vary from run to run.
     with ThreadPoolExecutor(2) as aside:
@@ -409,7 +404,7 @@ def build_in_posture(
         if last.grown is None:
             last.grown = grow_bones(knee, last.bone_parameters, load_jsw_protocol(knee))
         assembly = pose_knee(knee, last.grown, posture)
-        cartilage = aside.submit(_cover_bones, last, assembly)
+        cartilage = aside.submit(last.cover_bones, assembly)
         if shells is not None:
             last.unplaced = build_bones(knee, last.grown, shells.result(), aside)
         assert last.unplaced is not None
@@ -430,39 +425,6 @@ def build_in_posture(
     )
     object.__setattr__(built, "_scene_as_built", scene)
     return built if replacement_scene is None else replace(built, scene=replacement_scene, surgery=surgery)
-
-
-@dataclass
-class _LastKnee:
-    """Parts of the last built knee that do not depend on its posture; None if they are not built yet.
-
-    `tables` are the tables that determine the bones of `knee`.
-    """
-
-    knee: Knee
-    tables: AnatomyTables
-    bone_parameters: BoneParameters
-    grown: GrownBones | None = None
-    unplaced: UnplacedBones | None = None
-    cartilage: tuple[CartilageLayer, CartilageLayer] | None = None
-
-
-def _recall_last_knee(knee: Knee, tables: AnatomyTables) -> _LastKnee:
-    """Return the parts of a knee if this thread built the same knee last; otherwise return new, empty parts."""
-    last: _LastKnee | None = getattr(_LAST, "knee", None)
-    if last is None or last.knee != knee or last.tables is not tables:
-        bone_parameters = resolve_bone_parameters(knee, tables)
-        bone_shells.prepare_template_bones(bone_parameters)
-        last = _LAST.knee = _LastKnee(knee, tables, bone_parameters)
-    return last
-
-
-def _cover_bones(last: _LastKnee, assembly: KneeAssembly) -> tuple[CoveredBone, CoveredBone]:
-    """Cover femur and tibia with their cartilage, and keep the cartilage layers for another posture."""
-    if last.cartilage is None:
-        assert last.grown is not None
-        last.cartilage = build_cartilage(last.knee, last.grown)
-    return cover_bones(last.cartilage, assembly)
 
 
 def _find_attrition_mm(knee: Knee, assembly: KneeAssembly, is_worn: bool) -> Mapping[str, float] | None:

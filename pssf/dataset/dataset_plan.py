@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from ..data.knees.oarsi_table import OarsiThresholds
-from ..model.kellgren_lawrence import MAX_GRADE, allowed_grades, derive_grade
-from ..model.knee import MARGIN_AND_SPINE_SITES, Knee, Osteophyte
+from ..model.knee import Knee
 from ..model.progression import progress, true_change
 from ..model.protocol import Protocol
 from ..model.sampling.acquisition import sample_acquisition
 from ..model.sampling.knee_sampling import sample_knee_from_distributions, sample_shared_fields
 from .dataset_settings import SPLITS, DatasetSettings
 from .dataset_tables import DatasetTables
+from .lesion_change import change_one_lesion
 
 # The following keys separate the random streams of a data set. A stream is identified by the key and a number.
 _GRADES, _BODY, _KNEE, _ACQUISITION, _NOISE, _PAIR, _ATTEMPT, _EQUIPMENT, _APPEARANCE = range(9)
@@ -23,8 +22,8 @@ _GRADES, _BODY, _KNEE, _ACQUISITION, _NOISE, _PAIR, _ATTEMPT, _EQUIPMENT, _APPEA
 _SUBJECTS_PER_PART = 4
 # Time between the two visits of a pair, in years.
 _VISIT_RANGE_YEARS = (1.0, 8.0)
-# Size of an osteophyte that distinguishes the two knees of a pair, in mm.
-_ADDED_OSTEOPHYTE_MM = (2.0, 6.0)
+# Knee of an image, and the other knee of the subject if a protocol images both knees.
+_Knees = tuple[Knee, Knee | None]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,6 +42,8 @@ class PlannedImage:
         Parameters of the knee.
     protocol : Protocol
         Protocol of the acquisition.
+    other : Knee or None
+        Other knee of the subject, if the protocol images both knees.
     seed : int
         Seed of the noise.
     appearance_seed : int
@@ -63,6 +64,7 @@ class PlannedImage:
     protocol: Protocol
     seed: int
     appearance_seed: int
+    other: Knee | None = None
     pair: str = ""
     role: str = ""
     change: Mapping[str, Any] = field(default_factory=dict)
@@ -166,41 +168,50 @@ def plan_subject(
     Notes
     -----
     For the same settings, the images of a subject do not depend on the number of images, the split or the number of
-    workers. Both knees of a subject share the properties of the body (`sample_knee_pair`).
+    workers. Both knees of a subject share the properties of the body (`sample_knee_pair`). A protocol that images both
+    knees gives one image per knee; the images of both knees have the same acquisition and noise, as parts of one
+    radiograph.
     """
     grade = _sample_grade(settings, tables, subject)
     if attempt:
         settings = replace(settings, seed=int(_stream(settings.seed, attempt, _ATTEMPT).integers(2**63)))
     shared = sample_shared_fields(tables.distributions, grade=grade, rng=_stream(settings.seed, subject, _BODY))
     rng = _stream(settings.seed, subject, _KNEE)
-    sides = ("right", "left") if settings.knees_per_subject == 2 else (("right", "left")[int(rng.integers(2))],)
+    sides = ["right", "left"]
+    if settings.knees_per_subject == 1 and rng.integers(2):
+        sides.reverse()
+    images_both = any(protocol.knee_distance_mm for protocol in tables.protocols)
+    knees = [
+        sample_knee_from_distributions(
+            tables.distributions, grade=grade, rng=_stream(settings.seed, subject, _KNEE, turn), **shared, side=side
+        )
+        for turn, side in enumerate(sides if images_both else sides[: settings.knees_per_subject])
+    ]
     images = []
-    for turn, side in enumerate(sides):
-        of_knee = _stream(settings.seed, subject, _KNEE, turn)
-        knee = sample_knee_from_distributions(tables.distributions, grade=grade, rng=of_knee, **shared, side=side)
-        images += _plan_knee(settings, tables, (subject, turn), split, knee)
+    for turn in range(settings.knees_per_subject):
+        other = knees[1 - turn] if images_both else None
+        images += _plan_knee(settings, tables, (subject, turn), split, (knees[turn], other))
     return images
 
 
 def _plan_knee(
-    settings: DatasetSettings, tables: DatasetTables, at: tuple[int, int], split: str, knee: Knee
+    settings: DatasetSettings, tables: DatasetTables, at: tuple[int, int], split: str, knees: _Knees
 ) -> list[PlannedImage]:
     """Plan the image of a knee, or its pair of images; `at` is the number of the subject and of the knee."""
     chance = _stream(settings.seed, *at, _PAIR)
     nominal = tables.protocols[int(chance.integers(len(tables.protocols)))]
     if settings.pairs == "none":
-        return [_plan_image(settings, tables, (*at, 0), split, knee, nominal)]
-    first, second, change = (knee, nominal), (knee, nominal), dict[str, Any]()
+        return [_plan_image(settings, tables, (*at, 0), split, knees, nominal)]
+    first, second, change = (knees, nominal), (knees, nominal), dict[str, Any]()
     if settings.pairs == "protocol":
-        first, second = ((knee, protocol) for protocol in tables.protocols)
+        first, second = ((knees, protocol) for protocol in tables.protocols)
         change = {"protocol": [first[1].name, second[1].name]}
     elif settings.pairs == "lesion":
-        other, change = _change_one_lesion(knee, tables.cuts, chance)
-        second = (other, nominal)
+        changed, change = change_one_lesion(knees[0], tables.cuts, chance)
+        second = ((changed, knees[1]), nominal)
     else:
-        years = round(float(chance.uniform(*_VISIT_RANGE_YEARS)), 2)
-        later = progress(knee, years, int(chance.integers(2**31)))
-        second, change = (later, nominal), {"years": years, **true_change(knee, later)}
+        years, (later, other) = _plan_later_visit(settings, tables, at, knees)
+        second, change = ((later, other), nominal), {"years": years, **true_change(knees[0], later)}
     pair = _make_name(settings.seed, "pair", *at)
     return [
         replace(_plan_image(settings, tables, (*at, turn), split, *of), pair=pair, role=role, change=change)
@@ -208,12 +219,31 @@ def _plan_knee(
     ]
 
 
+def _plan_later_visit(
+    settings: DatasetSettings, tables: DatasetTables, at: tuple[int, int], knees: _Knees
+) -> tuple[float, _Knees]:
+    """Sample the time to the second visit, in years, and the knees at this visit.
+
+    If a radiograph shows both knees, the visit of the first knee is that of the subject.
+    """
+    subject, turn = at
+    times, seeds = {}, {}
+    for number in (turn,) if knees[1] is None else (0, 1):
+        chance = _stream(settings.seed, subject, number, _PAIR)
+        chance.integers(len(tables.protocols))  # `_plan_knee` samples the protocol first.
+        times[number] = round(float(chance.uniform(*_VISIT_RANGE_YEARS)), 2)
+        seeds[number] = int(chance.integers(2**31))
+    years = times[min(times)]
+    other = None if knees[1] is None else progress(knees[1], years, seeds[1 - turn])
+    return years, (progress(knees[0], years, seeds[turn]), other)
+
+
 def _plan_image(
     settings: DatasetSettings,
     tables: DatasetTables,
     at: tuple[int, int, int],
     split: str,
-    knee: Knee,
+    knees: _Knees,
     nominal: Protocol,
 ) -> PlannedImage:
     """Sample the acquisition of one image; `at` is the number of the subject, the knee and the image.
@@ -221,18 +251,23 @@ def _plan_image(
     The two images of a lesion pair have the same acquisition, crop, display processing and randomisation. Their knees
     differ in the lesion, and therefore slightly in the pose of the bones for the specified joint space.
     """
+    knee, other = knees
     place = (*at[:2], 0 if settings.pairs == "lesion" else at[2])
+    # Both knees of a bilateral radiograph have the same acquisition and noise.
+    exposed, noise = ((place[0], 0, place[2]), (at[0], 0, at[2])) if nominal.knee_distance_mm else (place, at)
     if settings.equipment == "sampled":
-        nominal = _sample_equipment(nominal, tables, _stream(settings.seed, *place, _EQUIPMENT))
+        nominal = _sample_equipment(nominal, tables, _stream(settings.seed, *exposed, _EQUIPMENT))
     if settings.acquisition == "sampled":
-        nominal = sample_acquisition(nominal, rng=_stream(settings.seed, *place, _ACQUISITION), side=knee.side)
+        side = None if nominal.knee_distance_mm else knee.side
+        nominal = sample_acquisition(nominal, rng=_stream(settings.seed, *exposed, _ACQUISITION), side=side)
     return PlannedImage(
         name=_make_name(settings.seed, "image", *at),
         subject=_make_name(settings.seed, "subject", at[0]),
         split=split,
         knee=knee,
+        other=other if nominal.knee_distance_mm else None,
         protocol=nominal,
-        seed=_sample_seed(settings, *at, _NOISE),
+        seed=_sample_seed(settings, *noise, _NOISE),
         appearance_seed=_sample_seed(settings, *place, _APPEARANCE),
     )
 
@@ -244,38 +279,6 @@ def _sample_equipment(nominal: Protocol, tables: DatasetTables, rng: np.random.G
     if not nominal.grid_ratio:
         sampled = {name: value for name, value in sampled.items() if not name.startswith("grid_")}
     return replace(nominal, **sampled)
-
-
-def _change_one_lesion(knee: Knee, cuts: OarsiThresholds, rng: np.random.Generator) -> tuple[Knee, dict[str, Any]]:
-    """Remove one osteophyte or cyst of a knee at random, or add an osteophyte to a knee without any."""
-    lesions = [("osteophyte", one) for one in knee.osteophytes] + [("cyst", one) for one in knee.cysts]
-    if not lesions:
-        site, size = (
-            MARGIN_AND_SPINE_SITES[int(rng.integers(len(MARGIN_AND_SPINE_SITES)))],
-            round(float(rng.uniform(*_ADDED_OSTEOPHYTE_MM)), 2),
-        )
-        grown = replace(knee, osteophytes=(Osteophyte(site=site, size_mm=size),), grade=None)
-        return _regrade(knee, grown, cuts, {"lesion": "osteophyte", "added": True, "site": site, "size_mm": size})
-    kind, lost = lesions[int(rng.integers(len(lesions)))]
-    kept: dict[str, Any] = {f"{kind}s": tuple(one for one in getattr(knee, f"{kind}s") if one is not lost)}
-    size = lost.size_mm if isinstance(lost, Osteophyte) else lost.diameter_mm
-    other = replace(knee, **kept, grade=None)
-    return _regrade(knee, other, cuts, {"lesion": kind, "added": False, "site": lost.site, "size_mm": size})
-
-
-def _regrade(knee: Knee, other: Knee, cuts: OarsiThresholds, change: dict[str, Any]) -> tuple[Knee, dict[str, Any]]:
-    """Change the grade of a knee with another lesion by the change of its derived grade, as `progress` does.
-
-    A removed lesion never raises the grade, and an added lesion never lowers it.
-    """
-    if knee.grade is None:
-        return other, change
-    low, high = allowed_grades(other, cuts)
-    stepped = knee.grade + derive_grade(other, cuts) - derive_grade(replace(knee, grade=None), cuts)
-    bounded = max(knee.grade, stepped) if change["added"] else min(knee.grade, stepped)
-    grade = min(max(bounded, low), high)
-    read = None if knee.reader_grade is None else min(max(knee.reader_grade + grade - knee.grade, 0), MAX_GRADE)
-    return replace(other, grade=grade, reader_grade=read), {**change, "grade_change": grade - knee.grade}
 
 
 def _sample_grade(settings: DatasetSettings, tables: DatasetTables, subject: int) -> int:

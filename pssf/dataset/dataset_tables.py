@@ -54,8 +54,8 @@ def load_dataset_tables(settings: DatasetSettings) -> DatasetTables:
     Raises
     ------
     InputError
-        If a protocol, a material or the grade table is unknown, a protocol images two knees, or the crop is larger than
-        the detector.
+        If a protocol, a material or the grade table is unknown, a protocol images two knees and `crop_mm` is 0, or the
+        crop is larger than the detector.
     """
     for name in settings.maps:
         require_choice("maps", name, tuple(load_tissues()))
@@ -70,8 +70,11 @@ def load_dataset_tables(settings: DatasetSettings) -> DatasetTables:
 
 def _fit_protocol(protocol: Protocol, settings: DatasetSettings) -> Protocol:
     """Change the pixel size of a protocol so that an image, or its crop, has the requested number of pixels."""
-    if protocol.knee_distance_mm:
-        raise InputError(f"protocols must image one knee, got {protocol.name}, which images two knees")
+    if protocol.knee_distance_mm and not settings.crop_mm:
+        raise InputError(
+            f"crop_mm must be above 0 for the protocol {protocol.name}, got 0 mm: the protocol images two knees, and "
+            "each crop shows one of them"
+        )
     if not settings.crop_mm:
         return protocol.resample(settings.matrix) if settings.matrix else protocol
     height_mm, width_mm = (side * protocol.pixel_mm for side in (protocol.rows, protocol.cols))

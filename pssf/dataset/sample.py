@@ -3,16 +3,18 @@
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..anatomy import build
+from ..anatomy import BuiltKnee, BuiltPair, build, build_pair
 from ..data.imaging.display_table import FlatPanelProcessing
 from ..detector.display_rendering import render_for_display
 from ..image_faults import ImageNotice
-from ..model.knee import knee_to_dict
+from ..model.knee import Knee, knee_to_dict
+from ..model.protocol import Protocol
 from ..model.radiograph import Radiograph, Truth
 from ..model.sampling.display_sampling import sample_processing_from_table
 from ..raycast.detector_clearance import move_clear_of_detector
@@ -89,16 +91,9 @@ def make_sample(planned: PlannedImage, settings: DatasetSettings, tables: Datase
     InputError
         If the knee cannot be built.
     """
-    built = build(planned.knee, planned.protocol)
-    protocol = move_clear_of_detector(built.scene, built.aim_beam(planned.protocol))
-    keep = ("masks", "path_mm") if settings.maps else ("masks",)
-    # Printed warnings would hide the progress bar, so they are stored in the label `warnings`.
-    with warnings.catch_warnings(record=True) as notices:
-        warnings.simplefilter("ignore")
-        for category in (ImageNotice, KernelNotice):
-            warnings.simplefilter("always", category)
-        radiograph = simulate(built, protocol, rng=planned.seed, keep=keep, engine=settings.engine, workers=1)
-    truth = radiograph.truth
+    radiograph, notices = _simulate(planned, settings)
+    # The labels of a bilateral radiograph are those of the right and the left knee.
+    truth = radiograph.truth if planned.other is None else radiograph.truths[("right", "left").index(planned.knee.side)]
     assert truth is not None
     processing: str | FlatPanelProcessing = settings.display
     if settings.display == "sampled":
@@ -114,13 +109,45 @@ def make_sample(planned: PlannedImage, settings: DatasetSettings, tables: Datase
         label_map=draw_label_map(masks, tables.definitions.label_map, radiograph.pixels.shape),
         masks=masks,
         landmarks_px=truth.landmarks_px,
-        pixel_mm=protocol.pixel_mm,
-        labels=_collect_labels(planned, radiograph, truth, processing)
-        | {"warnings": [str(notice.message) for notice in notices]},
+        pixel_mm=radiograph.protocol.pixel_mm,
+        labels=_collect_labels(planned, radiograph, truth, processing) | {"warnings": notices},
         # A requested material that the knee does not contain has a map of zeros.
         maps={name: radiograph.kept["path_mm"].get(name, np.zeros_like(display, np.float32)) for name in settings.maps},
     )
     return _crop(sample, settings, planned.appearance_seed) if settings.crop_mm else sample
+
+
+def _simulate(planned: PlannedImage, settings: DatasetSettings) -> tuple[Radiograph, list[str]]:
+    """Simulate the radiograph of a planned image; also return the messages of warnings."""
+    keep = ("masks", "path_mm") if settings.maps else ("masks",)
+    if planned.other is None:
+        built = build(planned.knee, planned.protocol)
+        return _simulate_built(built, built.aim_beam(planned.protocol), planned.seed, keep, settings.engine)
+    right, left = sorted((planned.knee, planned.other), key=lambda knee: knee.side, reverse=True)
+    return _simulate_both_knees(right, left, planned.protocol, planned.seed, keep, settings.engine)
+
+
+# The images of both knees of a subject follow one another and are parts of the same radiograph.
+@lru_cache(maxsize=1)
+def _simulate_both_knees(
+    right: Knee, left: Knee, protocol: Protocol, seed: int, keep: tuple[str, ...], engine: str
+) -> tuple[Radiograph, list[str]]:
+    """Simulate the radiograph of both knees, or return it if it was simulated last."""
+    return _simulate_built(build_pair(right, left, protocol), protocol, seed, keep, engine)
+
+
+def _simulate_built(
+    built: BuiltKnee | BuiltPair, protocol: Protocol, seed: int, keep: tuple[str, ...], engine: str
+) -> tuple[Radiograph, list[str]]:
+    """Simulate the radiograph of one or two built knees; also return the messages of warnings."""
+    protocol = move_clear_of_detector(built.scene, protocol)
+    # Printed warnings would hide the progress bar, so they are stored in the label `warnings`.
+    with warnings.catch_warnings(record=True) as notices:
+        warnings.simplefilter("ignore")
+        for category in (ImageNotice, KernelNotice):
+            warnings.simplefilter("always", category)
+        radiograph = simulate(built, protocol, rng=seed, keep=keep, engine=engine, workers=1)
+    return radiograph, [str(notice.message) for notice in notices]
 
 
 def make_stream(seed: int, *key: int) -> np.random.Generator:
@@ -166,6 +193,8 @@ def _collect_labels(
         "appearance_seed": planned.appearance_seed,
         "knee": knee,
     }
+    if planned.other is not None:
+        labels["other_knee"] = knee_to_dict(planned.other)
     if planned.pair:
         labels |= {"pair": planned.pair, "role": planned.role, "change": dict(planned.change)}
     return labels

@@ -16,13 +16,15 @@ _EXPONENT_LIMIT = np.float32(80.0)
 _PLANES_PER_CHUNK = 8
 # Largest deviation of one person from the median, in standard deviations. Larger deviations are clipped to this value.
 _MAX_SD = 2.0
-# Lock for the cache, which stores only the last lattice.
+# Number of cached lattices: those of both knees of a bilateral radiograph, which is computed in bands.
+_CACHE_SIZE = 2
+# Lock for the cache.
 _LOCK = Lock()
 _CACHE: dict[tuple[int, StrutLattice], tuple[VoxelBlock, float]] = {}
 
 
 def make_strut_lattice(seed: int, table: StrutLattice) -> tuple[VoxelBlock, float]:
-    """Make the strut lattice of a knee, or return the cached lattice if the last call had the same arguments.
+    """Make the strut lattice of a knee, or return a cached lattice.
 
     Parameters
     ----------
@@ -42,12 +44,13 @@ def make_strut_lattice(seed: int, table: StrutLattice) -> tuple[VoxelBlock, floa
     Notes
     -----
     The lattice is a Gaussian random field with a soft threshold: bone where the field is high, and almost no bone
-    elsewhere. The y axis is the last axis in memory, because rays are approximately parallel to it. Only the last
-    lattice is cached.
+    elsewhere. The y axis is the last axis in memory, because rays are approximately parallel to it. The last two
+    lattices are cached.
     """
     with _LOCK:  # If another thread is making the lattice, wait until it is finished.
         if (seed, table) not in _CACHE:
-            _CACHE.clear()
+            while len(_CACHE) >= _CACHE_SIZE:
+                del _CACHE[next(iter(_CACHE))]
             _CACHE[seed, table] = _synthesise_lattice(seed, table)
         return _CACHE[seed, table]
 
