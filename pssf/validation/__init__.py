@@ -14,6 +14,7 @@ Imaging
     - ``chain``: run time, fraction of the total and error of each stage of ``simulate``.
     - ``throughput``: CPU time, memory and disk space per radiograph with labels and masks, for sampled knees.
     - ``worker_scaling``: run time of one and of two workers for the same radiographs.
+    - ``left_out``: change of the radiograph if a soft tissue is replaced by muscle.
     - ``spectrum``: error and run time of the attenuation by number of energies of the reduced spectrum.
     - ``focal_spot``: focal-spot blur compared with ray casting from many points of the focal spot.
     - ``physics``: spectrum, attenuation, primary and scattered signal compared with reference values.
@@ -56,6 +57,7 @@ from ..io.atomic_write import make_folder, write_bytes
 from ..io.cohort_records import write_csv, write_json
 from ..simulation import collect_versions
 from .imaging.focal_spot_error import measure_focal_spot_models
+from .imaging.left_out_tissues import measure_left_out_tissues
 from .imaging.monte_carlo_reference import compare_monte_carlo_with_reference
 from .imaging.physics_reference import compare_physics_with_references
 from .imaging.positioning_criteria import measure_positioning_criteria
@@ -87,7 +89,7 @@ DEFAULT_TABLES = (
 )  # fmt: skip
 # These tables are measured only on request, because they take minutes or need another package.
 OPTIONAL_TABLES = (
-    "throughput", "worker_scaling", "localisation", "localisation_limits", "coverage", "refutation",
+    "throughput", "worker_scaling", "left_out", "localisation", "localisation_limits", "coverage", "refutation",
     "ablation", "backends", "gvxr",
 )  # fmt: skip
 
@@ -174,6 +176,7 @@ def _make_table_jobs(
         "criteria": lambda: measure_positioning_criteria(knees, workers),
         "throughput": lambda: measure_throughput(knees),
         "worker_scaling": lambda: measure_worker_scaling(knees),
+        "left_out": lambda: measure_left_out_tissues(knees),
         "localisation": lambda: measure_localisation(knees, workers),
         "localisation_limits": lambda: derive_localisation_limits(knees, workers),
         "coverage": lambda: _import_study_module("interval_coverage").measure_interval_coverage(workers),
