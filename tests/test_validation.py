@@ -19,7 +19,7 @@ from pssf.data.analysis.reference_table import load_reference_tables
 from pssf.geometry.view import resolve_view
 from pssf.study import StudySettings
 from pssf.validation import validation_figure
-from pssf.validation.imaging import stage_errors, stage_times, throughput
+from pssf.validation.imaging import left_out_tissues, stage_errors, stage_times, throughput
 from pssf.validation.knees import build_success, morphometry, trabecular_error
 from pssf.validation.raycasting import (
     engine_agreement,
@@ -219,16 +219,44 @@ def test_a_validation_run_writes_the_requested_tables(tmp_path, monkeypatch):
 
 
 def test_throughput_is_measured_for_new_knees_and_other_acquisitions(monkeypatch):
-    monkeypatch.setattr(throughput, "_MATRICES", (64,))
     monkeypatch.setattr(throughput, "build", build_once)
     monkeypatch.setattr(throughput, "sample_knee", lambda **_: Knee(jsw_definition="read"))
-    new, other = throughput.measure_throughput(1)
+    new, other = throughput._measure_matrix(64, 1)
     assert [row["case"] for row in (new, other)] == ["new knee", "another acquisition"]
     for row in (new, other):
         parts = sum(row[f"{part}_seconds"] for part in ("build", "ray", "label", "other"))
         assert 0 < row["cpu_seconds"] < 2 * parts
         assert row["images_per_minute"] == pytest.approx(60 / row["cpu_seconds"], rel=0.02)
         assert 0.008 < row["disk_mb"] < 0.1
+
+
+def test_one_worker_and_two_workers_make_the_same_images(monkeypatch):
+    made = []
+
+    def run(function, items, *, shared, workers):
+        assert (function, workers) == (throughput._make_images, 2)
+        made.append([[knee.texture_seed for knee in item] for item in items])
+
+    monkeypatch.setattr(throughput, "map_in_parallel", run)
+    one, two = throughput.measure_worker_scaling(5)
+    _, alone, shared = made
+    assert alone[1] == []
+    assert sorted(alone[0]) == sorted(shared[0] + shared[1])
+    assert abs(len(shared[0]) - len(shared[1])) == 1
+    assert (one["workers"], two["workers"], one["ratio"]) == (1, 2, 1.0)
+
+
+def test_a_tissue_that_is_left_out_changes_the_image_where_it_attenuates(monkeypatch):
+    monkeypatch.setattr(left_out_tissues, "_MATRICES", (64,))
+    monkeypatch.setattr(left_out_tissues, "build", build_once)
+    monkeypatch.setattr(left_out_tissues, "sample_knee", lambda **_: Knee(jsw_definition="read"))
+    monkeypatch.setattr(left_out_tissues, "_TISSUES", {**left_out_tissues._TISSUES, "nothing": ()})
+    rows = {row["tissue"]: row for row in left_out_tissues.measure_left_out_tissues(1)}
+    assert rows["nothing"]["max_rms"] == rows["nothing"]["largest"] == 0
+    assert rows["fat between muscles"]["median_rms"] > 10 * rows["menisci"]["median_rms"] > 0
+    assert 1e-4 < rows["menisci"]["noise_rms"] < 0.01
+    for row in rows.values():
+        assert row["largest"] >= row["max_rms"] >= row["median_rms"]
 
 
 def test_an_unknown_validation_table_is_rejected(tmp_path):
