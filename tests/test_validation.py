@@ -249,7 +249,7 @@ def test_one_worker_and_two_workers_make_the_same_images(monkeypatch):
 def test_a_tissue_that_is_left_out_changes_the_image_where_it_attenuates(monkeypatch):
     monkeypatch.setattr(left_out_tissues, "_MATRICES", (64,))
     monkeypatch.setattr(left_out_tissues, "build", build_once)
-    monkeypatch.setattr(left_out_tissues, "sample_knee", lambda **_: Knee(jsw_definition="read"))
+    monkeypatch.setattr(left_out_tissues, "sample_numbered_knee", lambda _: (Knee(jsw_definition="read"), None))
     monkeypatch.setattr(left_out_tissues, "_TISSUES", {**left_out_tissues._TISSUES, "nothing": ()})
     rows = {row["tissue"]: row for row in left_out_tissues.measure_left_out_tissues(1)}
     assert rows["nothing"]["max_rms"] == rows["nothing"]["largest"] == 0

@@ -3,6 +3,7 @@
 from typing import Any
 
 from ..io import croissant_elements
+from ..io.dataset_files import name_sample_file
 from .dataset_settings import DatasetSettings
 from .dataset_summary import BOOLEAN, DECIMAL, INTEGER, TEXT, IndexSummary
 
@@ -122,15 +123,14 @@ def _describe_files(settings: DatasetSettings) -> tuple[list[dict[str, Any]], li
         text = "Shards in WebDataset format; the files of one image have the same name up to the first dot."
         return [croissant_elements.describe_file_set("shards", "application/x-tar", "*/*.tar", text)], []
     kinds = {
-        "linear": ("image/tiff", "tif", "16-bit images, linear in the absorbed energy."),
-        "display": ("image/png", "png", "8-bit images, processed for display."),
-        "label_map": ("image/png", "png", "Label maps."),
+        "linear": ("image/tiff", "16-bit images, linear in the absorbed energy."),
+        "display": ("image/png", "8-bit images, processed for display."),
+        "label_map": ("image/png", "Label maps."),
     }
-    kinds = {name: about for name, about in kinds.items() if name in (*settings.kinds, "label_map")}
+    images = {kind: about for kind, about in kinds.items() if kind in (*settings.kinds, "label_map")}
+    labels = {"labels": ("application/json", "Labels, landmarks and COCO instances of each image.")}
     sets = [
-        croissant_elements.describe_file_set(name, media, f"*/{name}/*.{suffix}", text)
-        for name, (media, suffix, text) in kinds.items()
+        croissant_elements.describe_file_set(kind, media, name_sample_file("*", kind, "*"), text)
+        for kind, (media, text) in (images | labels).items()
     ]
-    text = "Labels, landmarks and COCO instances of each image."
-    sets.append(croissant_elements.describe_file_set("labels", "application/json", "*/labels/*.json", text))
-    return sets, [croissant_elements.describe_images(name, about[2]) for name, about in kinds.items()]
+    return sets, [croissant_elements.describe_images(kind, text) for kind, (_, text) in images.items()]

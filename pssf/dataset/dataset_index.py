@@ -13,7 +13,7 @@ from ..io.dataset_files import (
     NO_LIMIT,
     SETTINGS_FILE,
     PartRecord,
-    name_image_file,
+    name_sample_file,
     read_part,
     read_sample_labels,
     write_part_record,
@@ -144,7 +144,7 @@ def _write_coco(settings: DatasetSettings, tables: DatasetTables, path: Path, sp
     images = (
         {
             "id": image_id,
-            "file_name": name_image_file(split, kind, row["name"]),
+            "file_name": name_sample_file(split, kind, row["name"]),
             "height": row["rows"],
             "width": row["cols"],
         }

@@ -198,8 +198,7 @@ def _plan_knee(
     settings: DatasetSettings, tables: DatasetTables, at: tuple[int, int], split: str, knees: _Knees
 ) -> list[PlannedImage]:
     """Plan the image of a knee, or its pair of images; `at` is the number of the subject and of the knee."""
-    chance = _stream(settings.seed, *at, _PAIR)
-    nominal = tables.protocols[int(chance.integers(len(tables.protocols)))]
+    nominal, chance = _choose_protocol(settings, tables, at)
     if settings.pairs == "none":
         return [_plan_image(settings, tables, (*at, 0), split, knees, nominal)]
     first, second, change = (knees, nominal), (knees, nominal), dict[str, Any]()
@@ -227,15 +226,21 @@ def _plan_later_visit(
     If a radiograph shows both knees, the visit of the first knee is that of the subject.
     """
     subject, turn = at
-    times, seeds = {}, {}
+    visits = {}
     for number in (turn,) if knees[1] is None else (0, 1):
-        chance = _stream(settings.seed, subject, number, _PAIR)
-        chance.integers(len(tables.protocols))  # `_plan_knee` samples the protocol first.
-        times[number] = round(float(chance.uniform(*_VISIT_RANGE_YEARS)), 2)
-        seeds[number] = int(chance.integers(2**31))
-    years = times[min(times)]
-    other = None if knees[1] is None else progress(knees[1], years, seeds[1 - turn])
-    return years, (progress(knees[0], years, seeds[turn]), other)
+        _, chance = _choose_protocol(settings, tables, (subject, number))
+        visits[number] = round(float(chance.uniform(*_VISIT_RANGE_YEARS)), 2), int(chance.integers(2**31))
+    years, _ = visits[min(visits)]
+    other = None if knees[1] is None else progress(knees[1], years, visits[1 - turn][1])
+    return years, (progress(knees[0], years, visits[turn][1]), other)
+
+
+def _choose_protocol(
+    settings: DatasetSettings, tables: DatasetTables, at: tuple[int, int]
+) -> tuple[Protocol, np.random.Generator]:
+    """Choose the protocol of a knee at random; also return the generator for the difference between its two images."""
+    chance = _stream(settings.seed, *at, _PAIR)
+    return tables.protocols[int(chance.integers(len(tables.protocols)))], chance
 
 
 def _plan_image(

@@ -54,18 +54,17 @@ def encode_sample(sample: Sample, settings: DatasetSettings, tables: DatasetTabl
     tuple of (str, bytes)
         Path relative to the data set, or name in the shard, and content.
     """
-    contents = {"label_map.png": dataset_files.encode_png(sample.label_map)}
+    contents = {"label_map": dataset_files.encode_png(sample.label_map)}
     if "linear" in settings.kinds:
-        contents["linear.tif"] = dataset_files.encode_tiff(sample.linear, sample.pixel_mm)
+        contents["linear"] = dataset_files.encode_tiff(sample.linear, sample.pixel_mm)
     if "display" in settings.kinds:
-        contents["display.png"] = dataset_files.encode_png(sample.display)
+        contents["display"] = dataset_files.encode_png(sample.display)
     if settings.maps:
-        contents["maps.tif"] = dataset_files.encode_maps(sample.maps)
+        contents["maps"] = dataset_files.encode_maps(sample.maps)
     entry = {**collect_labels(sample), "instances": list_instances(sample, tables.definitions.label_map)}
-    contents["json"] = (json.dumps(entry) + "\n").encode()
-    for ending, content in contents.items():
+    contents["labels"] = (json.dumps(entry) + "\n").encode()
+    for kind, content in contents.items():
         if settings.layout == "shards":
-            yield f"{sample.name}.{ending}", content
+            yield dataset_files.name_shard_member(kind, sample.name), content
         else:
-            kind, _, suffix = ending.rpartition(".")
-            yield f"{sample.split}/{kind or 'labels'}/{sample.name}.{suffix}", content
+            yield dataset_files.name_sample_file(sample.split, kind, sample.name), content

@@ -140,8 +140,16 @@ def describe_split_parts(urls: Mapping[str, str]) -> dict[str, Any]:
         describe_field("parts/url", "sc:URL", "Purpose of the subset, as an identifier of the Croissant vocabulary."),
     ]
     data = [{"parts/name": name, "parts/url": url} for name, url in urls.items()]
-    said = {"name": "parts", "description": "Subsets of a split.", "dataType": "cr:Split", "key": {"@id": "parts/name"}}
-    return {"@type": "cr:RecordSet", "@id": "parts", **said, "field": fields, "data": data}
+    return {
+        "@type": "cr:RecordSet",
+        "@id": "parts",
+        "name": "parts",
+        "description": "Subsets of a split.",
+        "dataType": "cr:Split",
+        "key": {"@id": "parts/name"},
+        "field": fields,
+        "data": data,
+    }
 
 
 def describe_images(file_set: str, description: str) -> dict[str, Any]:
@@ -160,7 +168,6 @@ def describe_images(file_set: str, description: str) -> dict[str, Any]:
         Record set ``FILE_SET_by_name``.
     """
     name = f"{file_set}_by_name"
-    said = {"name": name, "description": "All images, keyed by file name."}
     of_name, of_content = (
         {"fileSet": {"@id": file_set}, "extract": {"fileProperty": what}} for what in ("filename", "content")
     )
@@ -168,4 +175,11 @@ def describe_images(file_set: str, description: str) -> dict[str, Any]:
         describe_field(f"{name}/name", "sc:Text", "File name of the image.", of_name),
         describe_field(f"{name}/content", "sc:ImageObject", description, of_content),
     ]
-    return {"@type": "cr:RecordSet", "@id": name, **said, "key": {"@id": f"{name}/name"}, "field": fields}
+    return {
+        "@type": "cr:RecordSet",
+        "@id": name,
+        "name": name,
+        "description": "All images, keyed by file name.",
+        "key": {"@id": f"{name}/name"},
+        "field": fields,
+    }

@@ -25,6 +25,8 @@ from .cohort_records import hash_file
 SETTINGS_FILE = "dataset.json"
 # Metadata of the data set; its publisher may change this file.
 CROISSANT_FILE = "croissant.json"
+# Suffix of the files of an image, keyed by their content.
+FILE_SUFFIXES = {"linear": "tif", "display": "png", "label_map": "png", "maps": "tif", "labels": "json"}
 # Faults of a file.
 MISSING, CHANGED = "missing", "changed"
 # Size limit of hashed files, in bytes: none.
@@ -128,15 +130,15 @@ def encode_png(image: NDArray[np.uint8]) -> bytes:
     return buffer.getvalue()
 
 
-def name_image_file(split: str, kind: str, name: str) -> str:
-    """Return the path of an image or a label map, relative to the folder of the data set.
+def name_sample_file(split: str, kind: str, name: str) -> str:
+    """Return the path of a file of an image, relative to the folder of the data set.
 
     Parameters
     ----------
     split : str
         Subset.
-    kind : {"linear", "display", "label_map"}
-        Kind of image.
+    kind : {"linear", "display", "label_map", "maps", "labels"}
+        Content of the file.
     name : str
         Name of the image.
 
@@ -145,7 +147,25 @@ def name_image_file(split: str, kind: str, name: str) -> str:
     str
         Path with forward slashes.
     """
-    return f"{split}/{kind}/{name}.{'tif' if kind == 'linear' else 'png'}"
+    return f"{split}/{kind}/{name}.{FILE_SUFFIXES[kind]}"
+
+
+def name_shard_member(kind: str, name: str) -> str:
+    """Return the name of a file of an image in a shard.
+
+    Parameters
+    ----------
+    kind : {"linear", "display", "label_map", "maps", "labels"}
+        Content of the file.
+    name : str
+        Name of the image.
+
+    Returns
+    -------
+    str
+        Name of the image, and the content of the file as ending; labels have the ending ``json``.
+    """
+    return f"{name}.json" if kind == "labels" else f"{name}.{kind}.{FILE_SUFFIXES[kind]}"
 
 
 def read_pixels(folder: Path, split: str, kind: str, name: str) -> NDArray[Any]:
@@ -172,7 +192,7 @@ def read_pixels(folder: Path, split: str, kind: str, name: str) -> NDArray[Any]:
     InputError
         The file is missing or damaged.
     """
-    path = folder / name_image_file(split, kind, name)
+    path = folder / name_sample_file(split, kind, name)
     with _convert_read_errors(path):
         if kind == "linear":
             return np.asarray(tifffile.imread(path))
@@ -202,7 +222,7 @@ def read_maps(folder: Path, split: str, name: str) -> dict[str, NDArray[np.float
     InputError
         The file is missing or damaged.
     """
-    path = folder / split / "maps" / f"{name}.tif"
+    path = folder / name_sample_file(split, "maps", name)
     with _convert_read_errors(path), tifffile.TiffFile(path) as tiff:
         return {page.tags["PageName"].value: page.asarray() for page in tiff.pages}  # type: ignore[union-attr]
 
@@ -229,7 +249,7 @@ def read_sample_labels(folder: Path, split: str, name: str) -> dict[str, Any]:
     InputError
         The file is missing or damaged.
     """
-    labels: dict[str, Any] = read_json(folder / split / "labels" / f"{name}.json", dict[str, Any])
+    labels: dict[str, Any] = read_json(folder / name_sample_file(split, "labels", name), dict[str, Any])
     return labels
 
 

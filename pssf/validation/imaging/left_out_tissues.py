@@ -10,9 +10,9 @@ from ...anatomy import build
 from ...geometry.scene import Scene
 from ...model.knee import Knee
 from ...model.protocol import Protocol, load_protocol
-from ...model.sampling.knee_sampling import sample_knee
 from ...simulation import simulate
 from ..raycasting.raycast_engines import Row
+from .throughput import sample_numbered_knee
 
 # Surfaces of each tissue. Outside every surface is muscle, so the volume of a surface that is left out becomes muscle.
 _TISSUES = {
@@ -26,9 +26,7 @@ _TISSUES = {
 _MATRICES = (512, 2048)
 # Tube load of the compared noise, in mAs.
 _TUBE_LOAD_MAS = 20.0
-# Number of KL grades of the sampled knees, 0 to 4.
-_GRADES = 5
-# Seed of knees and noise.
+# Seed of the noise.
 _SEED = 59
 
 
@@ -48,7 +46,7 @@ def measure_left_out_tissues(knees: int) -> list[Row]:
         protocol is ``fixed_flexion``.
     """
     rows: list[Row] = []
-    drawn = [sample_knee(grade=number % _GRADES, rng=np.random.default_rng([_SEED, number])) for number in range(knees)]
+    drawn = [sample_numbered_knee(number)[0] for number in range(knees)]
     for matrix in _MATRICES:
         protocol = replace(load_protocol("fixed_flexion").resample(matrix), mas=_TUBE_LOAD_MAS)
         changes: dict[str, list[tuple[float, float]]] = {tissue: [] for tissue in ("quantum noise", *_TISSUES)}

@@ -71,7 +71,7 @@ def measure_worker_scaling(knees: int) -> list[Row]:
     list of dict
         One row per number of workers: run time in s, images per minute, and the ratio to one worker.
     """
-    drawn = [_sample_knee(number)[0] for number in range(knees)]
+    drawn = [sample_numbered_knee(number)[0] for number in range(knees)]
     protocol = load_protocol("fixed_flexion").resample(_MATRICES[0])
     shares = {1: [drawn, []], 2: [drawn[::2], drawn[1::2]]}
     # The first run starts both workers and fills their caches.
@@ -101,8 +101,21 @@ def _simulate(subject: Any, protocol: Protocol, keep: tuple[str, ...] = ()) -> R
     return simulate(subject, protocol, keep=keep, engine=_ENGINE, workers=1)
 
 
-def _sample_knee(number: int) -> tuple[Knee, np.random.Generator]:
-    """Sample a knee of the next KL grade; also return the generator for its acquisitions."""
+def sample_numbered_knee(number: int) -> tuple[Knee, np.random.Generator]:
+    """Sample a knee for the measurement of images; consecutive knees have KL grades 0 to 4 in turn.
+
+    Parameters
+    ----------
+    number : int
+        Number of the knee, from 0.
+
+    Returns
+    -------
+    knee : Knee
+        Knee from the grade table ``population``.
+    rng : numpy.random.Generator
+        Generator for acquisitions of the knee.
+    """
     rng = np.random.default_rng([_SEED, number])
     return sample_knee(grade=number % _GRADES, rng=rng), rng
 
@@ -115,7 +128,7 @@ def _measure_matrix(matrix: int, knees: int) -> list[Row]:
     with limit_to_one_thread():
         _measure_image(sample_knee(grade=0, rng=_SEED), protocol)  # A first image fills the caches.
         for number in range(knees):
-            knee, rng = _sample_knee(number)
+            knee, rng = sample_numbered_knee(number)
             timed["new knee"].append(_measure_image(knee, protocol))
             timed["another acquisition"].append(_measure_image(knee, sample_acquisition(protocol, rng=rng)))
     rows: list[Row] = []
