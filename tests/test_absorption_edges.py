@@ -14,6 +14,7 @@ import pssf
 from pssf.xray import spectrum
 from pssf.xray.materials import absorption_edges_kev, attenuation_per_mm
 from pssf.xray.resolved_technique import resolve_technique
+from pssf.xray.scintillator_response import compute_deposited_energy
 from pssf.xray.spectrum import compute_beam, tube_spectrum
 
 
@@ -37,7 +38,7 @@ def test_transmission_near_a_k_edge_is_accurate_to_0_2_percent(name, mm, tube_kv
     # The expected value uses bins of 0.02 keV that also end at the edges.
     tube = (protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
     fine = spectrum._split_bins(*tube_spectrum(*tube, bin_kev=0.02), absorption_edges_kev([of]), 0.02)
-    response = spectrum._detector_response(fine[0], technique.detector)[0]
+    response = compute_deposited_energy(technique.detector, fine[0])[0]
     expected = compute_transmission(fine[0], fine[1] * response, of, mm)
     beam = compute_beam(technique, [of])
     assert_allclose(

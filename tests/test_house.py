@@ -96,7 +96,7 @@ FORMULA_MODULES = (
 # Words that specify the unit of an array. "share" and "probability" are fractions of 1; "unit" occurs in "unit vector"
 # and "any unit".
 UNITS = {
-    "mm", "mm2", "mm3", "1/mm", "1/mm2", "keV/mm2", "keV2/mm2", "px", "keV", "kV", "mGy", "uGy", "DN", "deg",
+    "mm", "mm2", "mm3", "1/mm", "1/angstrom2", "1/mm2", "keV/mm2", "keV2/mm2", "px", "keV", "kV", "mGy", "uGy", "DN", "deg",
     "degrees", "g/cm2", "counts",
     "share", "shares", "probability", "probabilities", "dimensionless", "SD", "unit", "grey",
 }  # fmt: skip

@@ -19,9 +19,9 @@ from pssf.data.imaging.detector_table import load_detectors
 from pssf.detector import detector_blur, panel_readout, quantum_noise
 from pssf.geometry.view import resolve_view
 from pssf.stages import LatentImage, StageContext, run_stages
-from pssf.xray import spectrum
 from pssf.xray.primary_beam import compute_primary, transmit
 from pssf.xray.resolved_technique import resolve_technique
+from pssf.xray.scintillator_response import compute_deposited_energy
 from pssf.xray.spectrum import (
     Beam,
     compute_beam,
@@ -315,7 +315,7 @@ def test_the_heel_effect_agrees_with_spekpy_up_to_the_field_edge(heel, angle_deg
         signals = []
         for off_axis in (slope, 0.0):
             energies, photons = tube_spectrum(70.0, angle_deg, 3.0, off_axis=off_axis)
-            signals.append((photons * spectrum._detector_response(energies, technique.detector)[0]).sum())
+            signals.append((photons * compute_deposited_energy(technique.detector, energies)[0]).sum())
         assert_allclose(rows[row], signals[0] * (1 + slope**2) / signals[1], rtol=1e-3)
 
 

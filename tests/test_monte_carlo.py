@@ -14,18 +14,17 @@ from tissue_materials import build_limb, compute_attenuation, find_material
 import pssf
 from pssf.core.resample import downsample_by_blocks
 from pssf.data.analysis.reference_table import ScatterCases, load_reference_tables
-from pssf.data.imaging.detector_table import load_detectors
 from pssf.scatter import photon_transport
 from pssf.scatter.monte_carlo import compute_monte_carlo_scatter_kev, simulate_photons
-from pssf.scatter.photon_interactions import make_interaction_tables
 from pssf.scatter.voxel_grid import voxelise_scene
 from pssf.validation.imaging.monte_carlo_reference import compare_monte_carlo_with_reference
 from pssf.validation.imaging.scatter_phantoms import build_slab
+from pssf.xray import photon_sampling
+from pssf.xray.photon_interactions import make_interaction_tables
 from pssf.xray.primary_beam import transmit
 from pssf.xray.resolved_technique import resolve_technique
 from pssf.xray.spectrum import compute_beam
 
-CSI = load_detectors()["csi"]
 # Tolerance in standard errors; one in 15 000 normal samples is outside.
 SIGMAS = 4.0
 
@@ -104,6 +103,7 @@ def test_emitted_photons_fill_the_solid_angle_of_the_window():
         window=np.array([-half_mm[0], half_mm[0], -half_mm[1], half_mm[1]]), field=np.zeros(5),
         energies=np.array([60.0]), energy_cdf=np.ones(1), weights=np.ones(1),
         material=voxels.index, origin=voxels.origin_mm, size=voxels.size_mm,
+        scintillator_depth=np.ones(2), deposited_fraction=np.ones(2),
     )  # fmt: skip
     weights = emit_photons(photons, seed_generator(3), setup)
     # A source emits 1e6 photons per steradian if the fluence at 1 m is one photon per mm2.
@@ -119,7 +119,7 @@ def test_compton_scatter_follows_the_klein_nishina_cross_section(kev):
     energy_ratio = 1 / (1 + kev / 510.99895 * (1 - cosine))
     section = energy_ratio**2 * (energy_ratio + 1 / energy_ratio - 1 + cosine**2)
     free, random = np.ones(5000), seed_generator()
-    sampled = np.array([photon_transport._sample_compton(kev, random, free) for _ in range(40_000)])
+    sampled = np.array([photon_sampling.sample_compton(kev, random, free) for _ in range(40_000)])
     for found, value in ((sampled[:, 1], energy_ratio), (sampled[:, 0], cosine)):
         expected = np.sum(section * value) / np.sum(section)
         assert abs(found.mean() - expected) < SIGMAS * found.std() / np.sqrt(len(found))
@@ -128,19 +128,19 @@ def test_compton_scatter_follows_the_klein_nishina_cross_section(kev):
 @pytest.mark.parametrize("kev", [20.0, 60.0])
 @pytest.mark.parametrize("kind", ["compton", "rayleigh"])
 def test_scatter_angles_in_oxygen_agree_with_xraylib(kev, kind):
-    tables, random = make_interaction_tables((find_material("O@1.0"),), 80.0, CSI), seed_generator(2)
+    tables, random = make_interaction_tables((find_material("O@1.0"),), 80.0), seed_generator(2)
     # Below 0.01 rad xraylib has no Compton values; their weight is negligible.
     angle = np.linspace(0.01, np.pi, 4001) if kind == "compton" else np.linspace(0, np.pi, 4001)
     section = xraylib.DCS_Compt if kind == "compton" else xraylib.DCS_Rayl
     weight = np.sin(angle) * np.array([section(8, kev, float(a)) for a in angle])
     if kind == "compton":
         sampled = np.array(
-            [photon_transport._sample_compton(kev, random, tables.incoherent_function[0])[0] for _ in range(40_000)]
+            [photon_sampling.sample_compton(kev, random, tables.incoherent_function[0])[0] for _ in range(40_000)]
         )
     else:
         sampled = np.array(
             [
-                photon_transport._sample_rayleigh(kev, random, tables.x_squared, tables.coherent_integral[0])
+                photon_sampling.sample_rayleigh(kev, random, tables.x_squared, tables.coherent_integral[0])
                 for _ in range(40_000)
             ]
         )
@@ -151,7 +151,7 @@ def test_scatter_angles_in_oxygen_agree_with_xraylib(kev, kind):
 
 
 def test_interaction_tables_add_up_to_the_total_attenuation():
-    tables = make_interaction_tables(tuple(map(find_material, ("muscle", "cortical_bone", "Ti@4.51"))), 80.0, CSI)
+    tables = make_interaction_tables(tuple(map(find_material, ("muscle", "cortical_bone", "Ti@4.51"))), 80.0)
     energies = 5.0 + 0.5 * np.arange(tables.photoelectric.shape[1])
     for number, name in enumerate(("muscle", "cortical_bone", "Ti@4.51")):
         total = (tables.photoelectric + tables.compton + tables.rayleigh)[number]

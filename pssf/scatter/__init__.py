@@ -4,7 +4,6 @@ Modules:
 
 - `scatter_kernel`: fast scatter model, fitted to Monte Carlo results.
 - `monte_carlo`: Monte Carlo estimate of the scatter.
-- `photon_interactions`: tables of photon interactions with matter.
 - `photon_transport`: transport of individual photons through voxels.
 - `voxel_grid`: conversion of a scene to a voxel grid of materials.
 - `antiscatter_grid`: transmission of an anti-scatter grid.

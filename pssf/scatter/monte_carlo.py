@@ -14,13 +14,15 @@ from ..core.checks import (
     require_workers,
 )
 from ..core.resample import upsample_linear
+from ..data.imaging.detector_table import Detector
 from ..geometry.scene import Scene
 from ..geometry.view import View
 from ..xray.collimator import field_half_size_mm
-from ..xray.materials import attenuation_per_mm
+from ..xray.materials import absorbed_fraction, attenuation_per_mm
+from ..xray.photon_interactions import CUT_OFF_KEV, make_interaction_tables, table_energies_kev
 from ..xray.resolved_technique import Technique
+from ..xray.scintillator_response import load_scintillator_response
 from ..xray.spectrum import compute_beam
-from .photon_interactions import CUT_OFF_KEV, make_interaction_tables
 from .photon_transport import TransportSetup, follow_photons
 from .voxel_grid import Voxels, voxelise_scene
 
@@ -157,7 +159,7 @@ def simulate_photons(
     voxels = _voxelise_before_detector(scene, view, voxel_mm)
     where = _make_transport_setup(voxels, technique, step * view.pixel_mm)
     what = make_interaction_tables(
-        tuple(technique.material(name) for name in voxels.names), float(where.energies.max()), technique.detector
+        tuple(technique.material(name) for name in voxels.names), float(where.energies.max())
     )
     shape = (-(-view.rows // step), -(-view.cols // step))
     counts, energy = np.zeros((_BATCHES, 2, *shape)), np.zeros((_BATCHES, 4))
@@ -215,7 +217,23 @@ def _make_transport_setup(voxels: Voxels, technique: Technique, cell_mm: float) 
         material=voxels.index,
         origin=voxels.origin_mm,
         size=voxels.size_mm,
+        **_scintillator_tables(technique.detector, float(energies.max())),
     )
+
+
+def _scintillator_tables(detector: Detector, max_kev: float) -> dict[str, Array]:
+    """Tabulate the optical depth and the deposited fraction of a scintillator, keyed by field of `TransportSetup`.
+
+    The deposited fraction is that of normal incidence.
+    """
+    energies = table_energies_kev(max_kev)
+    absorbed = absorbed_fraction(detector.formula, detector.mg_per_cm2, energies)
+    response = load_scintillator_response(detector)
+    return {
+        # The optical depth of an opaque layer is limited to 28, which changes the absorption by only 1e-12.
+        "scintillator_depth": -np.log1p(-np.minimum(absorbed, 1 - 1e-12)),
+        "deposited_fraction": np.interp(energies, response.energies_kev, response.mean),
+    }
 
 
 def _detector_bounds_mm(view: View) -> Array:

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array
 from ..core.numba_kernel import kernel, kernel_helper
-from .photon_interactions import (
-    CUT_OFF_KEV,
-    HC_KEV_A,
-    STEP_KEV,
-    STEP_X,
-    InteractionTables,
+from ..xray.photon_interactions import CUT_OFF_KEV, InteractionTables
+from ..xray.photon_sampling import (
+    find_first_above,
+    interpolate,
+    rotate_direction,
+    sample_compton,
+    sample_rayleigh,
+    sample_uniform,
 )
 
-# Rest energy of the electron, in keV.
-_ELECTRON_KEV = 510.99895
 # Index of the emitted energy in the energy balance of a photon batch.
 EMITTED = 0
 # Index of the energy absorbed in the scene, in the energy balance of a photon batch.
@@ -56,6 +56,10 @@ class TransportSetup(NamedTuple):
         Lower corner of the voxel grid, in mm.
     size : (3,) float64 array
         Size of a voxel, in mm.
+    scintillator_depth : (energies,) float64 array
+        Optical depth of the scintillator at normal incidence, at the energies of the interaction tables, dimensionless.
+    deposited_fraction : (energies,) float64 array
+        Mean deposited energy of a photon that interacts in the scintillator, divided by the photon energy.
     """
 
     source: Array
@@ -68,6 +72,8 @@ class TransportSetup(NamedTuple):
     material: NDArray[np.uint8]
     origin: Array
     size: Array
+    scintillator_depth: Array
+    deposited_fraction: Array
 
 
 @kernel()
@@ -119,44 +125,16 @@ def follow_photons(
             energy[ABSORBED] += weight * (before - photon[6])
 
 
-@kernel_helper(inline="always")
-def _sample_uniform(s: NDArray[np.uint64]) -> float:
-    """Sample a uniform number in [0, 1) with xoshiro256++ (Blackman and Vigna 2019)."""
-    total = s[0] + s[3]
-    mixed = ((total << np.uint64(23)) | (total >> np.uint64(41))) + s[0]
-    moved = s[1] << np.uint64(17)
-    s[2] ^= s[0]
-    s[3] ^= s[1]
-    s[1] ^= s[2]
-    s[0] ^= s[3]
-    s[2] ^= moved
-    s[3] = (s[3] << np.uint64(45)) | (s[3] >> np.uint64(19))
-    return (mixed >> np.uint64(11)) * (1.0 / 9007199254740992.0)
-
-
-@kernel_helper(inline="always")
-def _find_first_above(values: Array, threshold: float) -> int:
-    """Return the index of the first ascending value above a threshold, or the last index if no value is above it."""
-    low, high = 0, len(values) - 1
-    while low < high:
-        middle = (low + high) // 2
-        if values[middle] > threshold:
-            high = middle
-        else:
-            low = middle + 1
-    return low
-
-
 @kernel_helper()
 def _emit_photon(photon: Array, stream: NDArray[np.uint64], setup: TransportSetup) -> float:
     """Emit a photon from the source towards a point sampled uniformly in the window; return the photon weight."""
-    x = setup.window[0] + _sample_uniform(stream) * (setup.window[1] - setup.window[0]) - setup.source[0]
-    z = setup.window[2] + _sample_uniform(stream) * (setup.window[3] - setup.window[2]) - setup.source[2]
+    x = setup.window[0] + sample_uniform(stream) * (setup.window[1] - setup.window[0]) - setup.source[0]
+    z = setup.window[2] + sample_uniform(stream) * (setup.window[3] - setup.window[2]) - setup.source[2]
     y = setup.detector_y_mm - setup.source[1]
     far = math.sqrt(x * x + y * y + z * z)
     photon[:3] = setup.source
     photon[3], photon[4], photon[5] = x / far, y / far, z / far
-    chosen = _find_first_above(setup.energy_cdf, _sample_uniform(stream))
+    chosen = find_first_above(setup.energy_cdf, sample_uniform(stream))
     photon[6] = setup.energies[chosen]
     # The weight follows the inverse-square law, relative to 1 m, and the cosine of the angle of incidence.
     return setup.weights[chosen] * 1e6 / (far * far) * y / far
@@ -181,22 +159,15 @@ def _move_to_voxels(photon: Array, setup: TransportSetup) -> None:
             photon[axis] += (near + 1e-3) * photon[3 + axis]
 
 
-@kernel_helper(inline="always")
-def _interpolate(table: Array, place: float) -> float:
-    """Interpolate a table linearly at a fractional index."""
-    node = min(int(place), len(table) - 2)
-    return table[node] + (place - node) * (table[node + 1] - table[node])
-
-
 @kernel_helper()
 def _fill_attenuation(kev: float, tables: InteractionTables, mu: Array) -> float:
     """Fill `mu` (materials,) with attenuation coefficients at an energy, in 1/mm; return the largest coefficient."""
-    most, place = 0.0, (kev - CUT_OFF_KEV) / STEP_KEV
+    most, place = 0.0, (kev - CUT_OFF_KEV) / tables.step_kev
     for m in range(len(mu)):
         mu[m] = (
-            _interpolate(tables.photoelectric[m], place)
-            + _interpolate(tables.compton[m], place)
-            + _interpolate(tables.rayleigh[m], place)
+            interpolate(tables.photoelectric[m], place)
+            + interpolate(tables.compton[m], place)
+            + interpolate(tables.rayleigh[m], place)
         )
         most = max(most, mu[m])
     return most
@@ -217,7 +188,7 @@ def _move_to_interaction(
         z = math.floor((photon[2] - origin[2]) / size[2])
         if x < 0 or y < 0 or z < 0 or x >= shape[0] or y >= shape[1] or z >= shape[2]:
             return -1
-        length = -math.log(1.0 - _sample_uniform(stream)) / max_mu
+        length = -math.log(1.0 - sample_uniform(stream)) / max_mu
         photon[0] += length * photon[3]
         photon[1] += length * photon[4]
         photon[2] += length * photon[5]
@@ -227,7 +198,7 @@ def _move_to_interaction(
         if x < 0 or y < 0 or z < 0 or x >= shape[0] or y >= shape[1] or z >= shape[2]:
             return -1
         material = setup.material[x, y, z]
-        if _sample_uniform(stream) * max_mu < mu[material]:
+        if sample_uniform(stream) * max_mu < mu[material]:
             return int(material)
 
 
@@ -237,84 +208,21 @@ def _interact(photon: Array, stream: NDArray[np.uint64], material: int, mu: floa
 
     Scattering changes the direction of the photon in place, and Compton scattering also its energy.
     """
-    place = (photon[6] - CUT_OFF_KEV) / STEP_KEV
-    at = _sample_uniform(stream) * mu
-    compton = _interpolate(tables.compton[material], place)
-    rayleigh = _interpolate(tables.rayleigh[material], place)
+    place = (photon[6] - CUT_OFF_KEV) / tables.step_kev
+    at = sample_uniform(stream) * mu
+    compton = interpolate(tables.compton[material], place)
+    rayleigh = interpolate(tables.rayleigh[material], place)
     if at < compton:
-        cosine, share = _sample_compton(photon[6], stream, tables.incoherent_function[material])
+        cosine, share = sample_compton(photon[6], stream, tables.incoherent_function[material])
         photon[6] *= share
-        _rotate_direction(photon, cosine, stream)
+        rotate_direction(photon, cosine, stream)
         return photon[6] < CUT_OFF_KEV
     if at < compton + rayleigh:
-        _rotate_direction(
-            photon, _sample_rayleigh(photon[6], stream, tables.x_squared, tables.coherent_integral[material]), stream
+        rotate_direction(
+            photon, sample_rayleigh(photon[6], stream, tables.x_squared, tables.coherent_integral[material]), stream
         )
         return False
     return True
-
-
-@kernel()
-def _sample_compton(kev: float, stream: NDArray[np.uint64], incoherent_function: Array) -> tuple[float, float]:
-    """Sample the cosine of the scattering angle and the remaining energy fraction of Compton scattering.
-
-    The Klein-Nishina formula is sampled by composition and rejection (Butcher and Messel 1960).
-    """
-    k = kev / _ELECTRON_KEV
-    least = 1.0 / (1.0 + 2.0 * k)
-    one, two = -math.log(least), 0.5 * (1.0 - least * least)
-    while True:
-        if _sample_uniform(stream) * (one + two) < one:
-            share = math.exp(-one * _sample_uniform(stream))
-        else:
-            share = math.sqrt(least * least + (1.0 - least * least) * _sample_uniform(stream))
-        t = (1.0 - share) / (k * share)
-        sine2 = t * (2.0 - t)
-        if _sample_uniform(stream) >= 1.0 - share * sine2 / (1.0 + share * share):
-            continue
-        x = kev / HC_KEV_A * math.sqrt(max(0.5 * t, 0.0))
-        if _sample_uniform(stream) < _interpolate(incoherent_function, x / STEP_X):
-            return 1.0 - t, share
-
-
-@kernel()
-def _sample_rayleigh(kev: float, stream: NDArray[np.uint64], x2: Array, coherent: Array) -> float:
-    """Sample the cosine of the scattering angle of coherent scattering.
-
-    The squared momentum transfer is sampled from the form factors; rejection sampling applies the Thomson angular
-    factor.
-    """
-    most = (kev / HC_KEV_A) ** 2
-    node = max(_find_first_above(x2, most), 1)
-    rise = (coherent[node] - coherent[node - 1]) / (x2[node] - x2[node - 1])
-    reach = coherent[node - 1] + (most - x2[node - 1]) * rise
-    while True:
-        value = _sample_uniform(stream) * reach
-        node = max(_find_first_above(coherent, value), 1)
-        step = coherent[node] - coherent[node - 1]
-        share = (value - coherent[node - 1]) / step if step > 0.0 else 0.0
-        cosine = max(1.0 - 2.0 * (x2[node - 1] + share * (x2[node] - x2[node - 1])) / most, -1.0)
-        if 2.0 * _sample_uniform(stream) < 1.0 + cosine * cosine:
-            return cosine
-
-
-@kernel_helper()
-def _rotate_direction(photon: Array, cosine: float, stream: NDArray[np.uint64]) -> None:
-    """Rotate the direction of a photon by a scattering angle, specified by its cosine, at a random azimuth."""
-    u, v, w = photon[3], photon[4], photon[5]
-    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
-    angle = 2.0 * math.pi * _sample_uniform(stream)
-    a, b = sine * math.cos(angle), sine * math.sin(angle)
-    across = math.sqrt(u * u + v * v)
-    if across > 1e-6:
-        photon[3] = u * cosine + (u * w * a - v * b) / across
-        photon[4] = v * cosine + (v * w * a + u * b) / across
-        photon[5] = w * cosine - across * a
-    else:
-        photon[3], photon[4], photon[5] = a, b, math.copysign(cosine, w * cosine)
-    # The direction is normalised, because rounding errors would accumulate over many interactions.
-    norm = 1.0 / math.sqrt(photon[3] ** 2 + photon[4] ** 2 + photon[5] ** 2)
-    photon[3:6] *= norm
 
 
 @kernel_helper()
@@ -334,8 +242,10 @@ def _tally_photon(
         way = (setup.detector_y_mm - photon[1]) / photon[4]
         x, z = photon[0] + way * photon[3], photon[2] + way * photon[5]
         if x0 <= x < x1 and z0 < z <= z1:
-            depth = _interpolate(tables.scintillator_depth, (photon[6] - CUT_OFF_KEV) / STEP_KEV) / photon[4]
-            absorbed = weight * photon[6] * (1.0 - math.exp(-depth))
+            place = (photon[6] - CUT_OFF_KEV) / tables.step_kev
+            depth = interpolate(setup.scintillator_depth, place) / photon[4]
+            share = (1.0 - math.exp(-depth)) * interpolate(setup.deposited_fraction, place)
+            absorbed = weight * photon[6] * share
             counts[scattered, int((z1 - z) / cell), int((x - x0) / cell)] += absorbed
             energy[ON_FIELD] += weight * photon[6]
             return

@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
+import msgspec
+
 from ..core.checks import InputError
 from ..data.anatomy.tissue_table import Tissue, load_tissues
 from ..data.imaging.detector_table import Detector, load_detectors
@@ -87,6 +89,16 @@ class Technique:
                 "call resolve_technique for another detector"
             )
         return replace(self, protocol=protocol)
+
+    def without_escape(self) -> "Technique":
+        """Make a copy in which each photon that interacts in the scintillator deposits its entire energy.
+
+        Returns
+        -------
+        Technique
+            Copy for comparison with calculations that neglect the escape of fluorescence and scattered photons.
+        """
+        return replace(self, detector=msgspec.structs.replace(self.detector, escape=False))
 
 
 def resolve_technique(protocol: Protocol) -> Technique:

@@ -9,14 +9,13 @@ from scipy.interpolate import CubicSpline
 
 from ..core.checks import Array
 from ..data.array_cache import Arrays, CacheKey, load_or_make_arrays
-from ..data.imaging.detector_table import Detector
 from .materials import (
     Material,
-    absorbed_fraction,
     absorption_edges_kev,
     attenuation_per_mm,
 )
 from .resolved_technique import Technique
+from .scintillator_response import compute_deposited_energy
 from .spectrum_quadrature import RELATIVE_TOLERANCE, fit_spectrum_quadrature
 
 # Source file and libraries whose changes invalidate cached spectra.
@@ -51,9 +50,9 @@ class Beam:
     photons_per_mm2 : (nodes,) float64 array
         Photons per mm2 for the mAs of the protocol.
     signal_kev : (nodes,) float64 array
-        Mean energy absorbed per photon, in keV: interaction probability times energy.
+        Mean energy deposited in the scintillator per photon, in keV.
     square_kev2 : (nodes,) float64 array
-        Second moment of the energy absorbed per photon, in keV2: interaction probability times energy squared.
+        Second moment of the energy deposited per photon, in keV2.
     """
 
     energies_kev: Array
@@ -81,15 +80,15 @@ def compute_beam(technique: Technique, materials: Iterable[Material] = ()) -> Be
     protocol = technique.protocol
     if protocol.mono_kev is not None:
         energies, photons = np.array([protocol.mono_kev]), np.array([_MONO_PHOTONS_PER_MM2_MAS])
-        return Beam(energies, photons * protocol.mas, *_detector_response(energies, technique.detector))
+        return Beam(energies, photons * protocol.mas, *compute_deposited_energy(technique.detector, energies))
     tube = (protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
     energies, photons = tube_spectrum(*tube)
-    response = _detector_response(energies, technique.detector)
+    response = compute_deposited_energy(technique.detector, energies)
     edges = [edge for edge in absorption_edges_kev(materials) if energies[0] < edge < energies[-1]]
     if edges:
         signal = (photons * response[0]).sum()
         energies, photons = _split_bins(*tube_spectrum(*tube, bin_kev=_FINE_KEV), edges, _FINE_KEV)
-        response = _detector_response(energies, technique.detector)
+        response = compute_deposited_energy(technique.detector, energies)
         photons = photons * (signal / (photons * response[0]).sum())
     return Beam(energies, photons * protocol.mas, *response)
 
@@ -167,7 +166,7 @@ def heel_factor(technique: Technique) -> Array:
     for slope in (*slopes, 0.0):
         beam = (protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
         energies, photons = tube_spectrum(*beam, off_axis=round(sign * float(slope), 9))
-        signals.append((photons * _detector_response(energies, technique.detector)[0]).sum() * (1 + slope**2))
+        signals.append((photons * compute_deposited_energy(technique.detector, energies)[0]).sum() * (1 + slope**2))
     return np.asarray(CubicSpline(slopes, signals[:-1])(row) / signals[-1])
 
 
@@ -249,9 +248,3 @@ def _compute_tube_spectrum(
     energies, per_kev_cm2 = source.get_spectrum(edges=False)
     keep = per_kev_cm2 > per_kev_cm2.max() * 1e-9
     return {"energies_kev": energies[keep], "photons": per_kev_cm2[keep] * bin_kev / 100.0}
-
-
-def _detector_response(energies_kev: Array, detector: Detector) -> tuple[Array, Array]:
-    """Compute the mean energy absorbed per photon, in keV, and its second moment, in keV2, per energy (bins,)."""
-    fraction = absorbed_fraction(detector.formula, detector.mg_per_cm2, energies_kev)
-    return fraction * energies_kev, fraction * energies_kev**2

@@ -41,6 +41,9 @@ class Detector(Record, frozen=True):
         Value of a pixel without signal, in DN.
     dead_seed : int
         Seed of the positions of dead pixels.
+    escape : bool
+        Whether K fluorescence and scattered photons may leave the scintillator. If False, each photon that interacts
+        deposits its entire energy.
     """
 
     formula: str
@@ -57,6 +60,7 @@ class Detector(Record, frozen=True):
     electrons_per_dn_mm2: float
     offset_dn: float
     dead_seed: int
+    escape: bool
 
     @property
     def mg_per_cm2(self) -> float:

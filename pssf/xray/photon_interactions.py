@@ -1,4 +1,4 @@
-"""Interaction tables for the Monte Carlo simulation: xraylib cross sections of free atoms, mixed by mass fraction."""
+"""Interaction tables of photons in matter: xraylib cross sections of free atoms, mixed by mass fraction."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -7,13 +7,12 @@ import numpy as np
 import xraylib
 
 from ..core.checks import Array
-from ..data.imaging.detector_table import Detector
-from ..xray.materials import Material, absorbed_fraction
+from .materials import Material
 
 # Cut-off energy below which a photon is absorbed locally, in keV; assumed.
 CUT_OFF_KEV = 5.0
-# Energy step of the interaction tables, in keV; values between steps are interpolated linearly.
-STEP_KEV = 0.5
+# Default energy step of the interaction tables, in keV; values between steps are interpolated linearly.
+_STEP_KEV = 0.5
 # Step of the interaction tables in momentum transfer x = sin(angle / 2) / wavelength, in 1/angstrom.
 STEP_X = 0.02
 # Planck constant times speed of light, in keV angstrom; wavelength = HC_KEV_A / energy.
@@ -23,11 +22,12 @@ HC_KEV_A = 12.398419843
 class InteractionTables(NamedTuple):
     """Interaction tables of several materials.
 
-    Energies are in steps of 0.5 keV from the cut-off at 5 keV. The momentum transfer x is in steps of 0.02 per angstrom
-    from 0.
+    Energies start at the cut-off of 5 keV. The momentum transfer x is in steps of 0.02 per angstrom from 0.
 
     Attributes
     ----------
+    step_kev : float
+        Energy step, in keV.
     photoelectric, compton, rayleigh : (materials, energies) float64 array
         Linear attenuation coefficient of each interaction, in 1/mm.
     incoherent_function : (materials, x) float64 array
@@ -36,31 +36,31 @@ class InteractionTables(NamedTuple):
         Squared momentum transfers at which `coherent_integral` is tabulated, in 1/angstrom2.
     coherent_integral : (materials, nodes) float64 array
         Integral of the squared form factor over the squared momentum transfer, from 0 to each node.
-    scintillator_depth : (energies,) float64 array
-        Optical depth of the scintillator at normal incidence, per photon energy, dimensionless.
     """
 
+    step_kev: float
     photoelectric: Array
     compton: Array
     rayleigh: Array
     incoherent_function: Array
     x_squared: Array
     coherent_integral: Array
-    scintillator_depth: Array
 
 
 @lru_cache(maxsize=8)
-def make_interaction_tables(materials: tuple[Material, ...], max_kev: float, detector: Detector) -> InteractionTables:
-    """Make the interaction tables of the scene materials and of the detector.
+def make_interaction_tables(
+    materials: tuple[Material, ...], max_kev: float, step_kev: float = _STEP_KEV
+) -> InteractionTables:
+    """Make the interaction tables of several materials.
 
     Parameters
     ----------
     materials : tuple of Material
-        Materials in the order of their voxel numbers.
+        Materials in the order of their numbers.
     max_kev : float
         Largest photon energy, in keV.
-    detector : Detector
-        Detector properties from the table.
+    step_kev : float, default 0.5
+        Energy step, in keV.
 
     Returns
     -------
@@ -71,11 +71,9 @@ def make_interaction_tables(materials: tuple[Material, ...], max_kev: float, det
     -----
     Compton scattering assumes free electrons at rest, without Doppler broadening. The angular distribution of Compton
     scattering is weighted with the incoherent scattering function. Coherent scattering assumes free atoms, without
-    interference between molecules. Photoelectric absorption deposits the entire photon energy locally, without
-    fluorescence.
+    interference between molecules.
     """
-    steps = int(np.ceil((max_kev - CUT_OFF_KEV) / STEP_KEV)) + 1
-    energies = np.linspace(CUT_OFF_KEV, CUT_OFF_KEV + steps * STEP_KEV, steps + 1)
+    energies = table_energies_kev(max_kev, step_kev)
     most_x = energies[-1] / HC_KEV_A
     steps = int(np.ceil(most_x / STEP_X)) + 1
     x = np.linspace(0.0, steps * STEP_X, steps + 1)
@@ -84,17 +82,34 @@ def make_interaction_tables(materials: tuple[Material, ...], max_kev: float, det
         np.array([0.1 * rho * _mixture_cross_sections(kind, parts, energies) for rho, parts in materials])
         for kind in ("Photo", "Compt", "Rayl")
     )
-    absorbed = absorbed_fraction(detector.formula, detector.mg_per_cm2, energies)
     return InteractionTables(
+        step_kev=step_kev,
         photoelectric=photo,
         compton=compton,
         rayleigh=rayleigh,
         incoherent_function=np.array([_incoherent_function(parts, x) for _, parts in materials]),
         x_squared=nodes**2,
         coherent_integral=np.array([_coherent_integral(parts, nodes) for _, parts in materials]),
-        # The optical depth of an opaque layer is limited to 28, which changes the absorption by only 1e-12.
-        scintillator_depth=-np.log1p(-np.minimum(absorbed, 1 - 1e-12)),
     )
+
+
+def table_energies_kev(max_kev: float, step_kev: float = _STEP_KEV) -> Array:
+    """List the energies of interaction tables.
+
+    Parameters
+    ----------
+    max_kev : float
+        Largest photon energy, in keV.
+    step_kev : float, default 0.5
+        Energy step, in keV.
+
+    Returns
+    -------
+    (energies,) float64 array
+        Energies from the cut-off of 5 keV to at least one step above `max_kev`, in keV.
+    """
+    steps = int(np.ceil((max_kev - CUT_OFF_KEV) / step_kev)) + 1
+    return np.linspace(CUT_OFF_KEV, CUT_OFF_KEV + steps * step_kev, steps + 1)
 
 
 def _mixture_cross_sections(kind: str, parts: tuple[tuple[int, float], ...], energies: Array) -> Array:

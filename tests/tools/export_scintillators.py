@@ -1,0 +1,22 @@
+"""Command that simulates the response of each scintillator of the package and stores it in the package.
+
+Run ``python -m tools.export_scintillators`` in the folder ``tests`` after a change of a scintillator, of
+`xray.scintillator_response` or of the modules that it uses.
+"""
+
+from dataclasses import replace
+
+from pssf.data.array_cache import save_to_package
+from pssf.data.imaging.detector_table import load_detectors
+from pssf.xray.scintillator_response import response_name, response_origin, simulate_response_arrays
+
+
+def main() -> None:
+    """Simulate the responses of all detectors, and replace their files in the package."""
+    for detector in load_detectors().values():
+        origin = replace(response_origin(detector), libraries=())
+        save_to_package(response_name(detector), origin, simulate_response_arrays(detector))
+
+
+if __name__ == "__main__":
+    main()
