@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from .io.meshes.scene_file import read_scene
     from .io.metadata import UnverifiedNotice
     from .io.radiograph_files import load, load_parameters, save
+    from .model.detector import Detector, load_detector
     from .model.knee import Cyst, Knee, Osteophyte
     from .model.progression import progress, true_change
     from .model.protocol import Protocol, load_protocol
@@ -88,6 +89,7 @@ _WHERE = {
     "model.sampling.knee_sampling": ("sample_knee", "sample_knee_pair"),
     "model.knee": ("Cyst", "Knee", "Osteophyte"),
     "model.progression": ("progress", "true_change"),
+    "model.detector": ("Detector", "load_detector"),
     "model.protocol": ("Protocol", "load_protocol"),
     "model.radiograph": ("Radiograph", "Truth"),
     "raycast": ("Paths", "Report", "check", "trace"),
@@ -99,6 +101,7 @@ __all__ = [
     "BuiltKnee",
     "Cyst",
     "Density",
+    "Detector",
     "ImageNotice",
     "InputError",
     "KernelNotice",
@@ -121,6 +124,7 @@ __all__ = [
     "export_meshes",
     "features",
     "load",
+    "load_detector",
     "load_masks",
     "load_parameters",
     "load_protocol",

@@ -10,7 +10,6 @@ from scipy.ndimage import distance_transform_edt
 
 from .core.checks import InputError
 from .data.anatomy.tissue_table import DENSEST_GAS_G_PER_CM3
-from .detector.panel_readout import MAX_DN
 from .geometry.scene import Scene
 from .model.radiograph import Truth
 from .raycast import compute_scene_silhouette
@@ -123,7 +122,7 @@ def find_saturation_faults(pixels: NDArray[np.uint16], scene: Scene, technique: 
     list of str
         List with one warning if too many pixels are saturated; otherwise, an empty list.
     """
-    full = pixels >= MAX_DN
+    full = pixels >= technique.detector.saturation_dn
     if not full.any():
         return []
     # A few hundred sample points along each side are sufficient to estimate the fraction of saturated pixels.
@@ -139,8 +138,8 @@ def find_saturation_faults(pixels: NDArray[np.uint16], scene: Scene, technique: 
     if not fraction > _SATURATED:
         return []
     return [
-        f"{100 * fraction:.1f} % of the object's pixels are saturated ({MAX_DN} DN) and contain no "
-        f"information; reduce mas (now {technique.protocol.mas:g}) or tube_kv"
+        f"{100 * fraction:.1f} % of the object's pixels are saturated ({technique.detector.saturation_dn} DN) and "
+        f"contain no information; reduce mas (now {technique.protocol.mas:g}) or tube_kv"
     ]
 
 

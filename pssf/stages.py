@@ -324,9 +324,8 @@ def blur_focal_spot(image: LatentImage, context: StageContext) -> None:
         image.expected_signal.shape,
         image.compute_frequencies(context.workers),
     )
-    detector_blur.apply_focal_spot_blur(
-        values, shape, detector_blur.focal_spot_width_px(protocol.focal_spot_mm, context.technique.view)
-    )
+    width_px = detector_blur.focal_spot_width_px(protocol.focal_spot_mm, context.technique.view)
+    detector_blur.apply_focal_spot_blur(values, shape, width_px, protocol.focal_spot_shape)
     signal = detector_blur.transform_to_image(values, shape, context.workers)
     image.signal = np.maximum(signal, 0, out=signal)
 

@@ -13,11 +13,11 @@ from scipy import ndimage
 
 import pssf
 from pssf import InputError
-from pssf.data.imaging.detector_table import load_detectors
 from pssf.data.imaging.display_table import load_display_processing
 from pssf.detector import display_rendering
 from pssf.detector.display_processing import render_film, render_processed
 from pssf.detector.laplacian_pyramid import join_pyramid, split_pyramid
+from pssf.model.detector import load_detectors
 from pssf.model.sampling.display_sampling import sample_processing_from_table
 
 PLAIN = msgspec.structs.replace(load_display_processing().processed, power=1.0, edge_gain=1.0, latitude_gain=1.0)

@@ -44,6 +44,7 @@ ENTRY_POINTS = {
     "anatomy/posture/knee_assembly.py": "load_jsw_protocol",
     "model/sampling/knee_sampling.py": "load_knee_distributions",
     "model/kellgren_lawrence.py": "require_grade",
+    "model/detector.py": "load_detectors load_detector resolve_detector",
     "radiomics/radiomics_tables.py": "radiomics_tables",
     "study/design/experiment_settings.py": "read_settings",
     "study/design/study_tables.py": "resolve_sampling_laws load_study_tables",
@@ -96,8 +97,8 @@ FORMULA_MODULES = (
 # Words that specify the unit of an array. "share" and "probability" are fractions of 1; "unit" occurs in "unit vector"
 # and "any unit".
 UNITS = {
-    "mm", "mm2", "mm3", "1/mm", "1/angstrom2", "1/mm2", "keV/mm2", "keV2/mm2", "px", "keV", "kV", "mGy", "uGy", "DN", "deg",
-    "degrees", "g/cm2", "counts",
+    "mm", "mm2", "mm3", "1/mm", "1/mm2", "keV/mm2", "keV2/mm2", "px", "keV", "kV", "mGy", "uGy", "DN", "deg",
+    "degrees", "g/cm2", "counts", "1/angstrom2",
     "share", "shares", "probability", "probabilities", "dimensionless", "SD", "unit", "grey",
 }  # fmt: skip
 UNITS_IN_NAMES = ("mm", "mm2", "mm3", "px", "kev", "kev2", "kv", "mgy", "deg", "dn")

@@ -15,9 +15,9 @@ from tissue_materials import compute_attenuation, find_material
 import pssf
 from pssf.core.resample import downsample_by_blocks, upsample_linear
 from pssf.data.analysis.reference_table import load_reference_tables
-from pssf.data.imaging.detector_table import load_detectors
 from pssf.detector import detector_blur, panel_readout, quantum_noise
 from pssf.geometry.view import resolve_view
+from pssf.model.detector import load_detectors
 from pssf.stages import LatentImage, StageContext, run_stages
 from pssf.xray.primary_beam import compute_primary, transmit
 from pssf.xray.resolved_technique import resolve_technique

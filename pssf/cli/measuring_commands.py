@@ -1,6 +1,7 @@
 """Commands that measure or list: validate, quality, compare-patients, separability, protocols, knees."""
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -190,12 +191,21 @@ def protocols(
     name: Annotated[
         str, typer.Argument(help="Protocol (name or TOML file) whose values are shown as the defaults.")
     ] = "",
+    *,
+    detector: Annotated[
+        str, typer.Option(metavar="<name>", help="Instead, list the fields of a detector (name or TOML file).")
+    ] = "",
 ) -> None:
     """List the fields of a protocol with meaning, unit, allowed values, default and source of typical values."""
     from ..data.data_files import list_protocols
+    from ..model.detector import load_detector
     from ..model.field_listing import list_fields
     from ..model.protocol import load_protocol, protocol_to_dict
 
+    if detector:
+        own = asdict(load_detector(detector))
+        _print_fields([row | {"default": str(own[row["field"]])} for row in list_fields("detector")])
+        return
     values = protocol_to_dict(load_protocol(name)) if name else {}
     if not name:
         _print_wrapped(f"protocols: {', '.join(list_protocols())}")

@@ -7,13 +7,14 @@ frequency (Lubberts 1968; Cunningham 2000).
 """
 
 from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from ..data.imaging.detector_table import Detector
-from ..geometry.view import View, magnification
+from ..geometry.view import SIGMA_PER_FWHM, View, magnification
+from ..model.detector import Detector
 
 Map = NDArray[np.float32]
 Frequencies = NDArray[np.complex64]
@@ -108,8 +109,10 @@ def focal_spot_width_px(focal_spot_mm: float, view: View) -> float:
     return focal_spot_mm * (magnification(view) - 1) / view.pixel_mm
 
 
-def apply_focal_spot_blur(values: Frequencies, shape: tuple[int, ...], width_px: float) -> None:
-    """Apply the blur of a square focal spot to the Fourier coefficients of an image, in place.
+def apply_focal_spot_blur(
+    values: Frequencies, shape: tuple[int, ...], width_px: float, spot_shape: str = "square"
+) -> None:
+    """Apply the blur of a focal spot to the Fourier coefficients of an image, in place.
 
     Parameters
     ----------
@@ -119,8 +122,15 @@ def apply_focal_spot_blur(values: Frequencies, shape: tuple[int, ...], width_px:
         Rows and columns of the image.
     width_px : float
         Blur width, in pixels.
+    spot_shape : {"square", "gaussian"}, default "square"
+        Shape of the focal spot. The width of a Gaussian is its full width at half maximum.
     """
     fy, fx = _frequency_axes(shape)
+    if spot_shape == "gaussian":
+        exponent = -2.0 * (np.pi * width_px * SIGMA_PER_FWHM) ** 2
+        values *= np.exp(exponent * fy**2)[:, None]
+        values *= np.exp(exponent * fx**2)
+        return
     values *= np.sinc(width_px * fy)[:, None]
     values *= np.sinc(width_px * fx)
 
@@ -143,24 +153,49 @@ def apply_panel_blur(
     curve : {"mtf", "ntf"}, default "mtf"
         Transfer function to use: "mtf" for the signal, "ntf" for quantum noise.
     """
-    values *= _panel_transfer(shape, pixel_mm, *_select_transfer_parameters(detector, curve))
+    values *= _panel_transfer(shape, pixel_mm, _select_transfer(detector, curve))
+
+
+class _Transfer(NamedTuple):
+    """Transfer function: the equation with f0 in 1/mm and power, or a table, and the glare."""
+
+    f0_per_mm: float
+    power: float
+    table: tuple[tuple[float, float], ...] | None
+    glare_fraction: float
+    glare_mm: float
 
 
 @lru_cache(maxsize=2)  # The cache contains the MTF and the NTF of the current detector.
-def _panel_transfer(shape: tuple[int, ...], pixel_mm: float, f0: float, power: float) -> Map:
+def _panel_transfer(shape: tuple[int, ...], pixel_mm: float, transfer: _Transfer) -> Map:
     """Compute the transfer function of a detector at all frequencies of a padded image."""
-    fy, fx = (f / np.float32(pixel_mm * f0) for f in _frequency_axes(shape))
+    if transfer.table is not None or transfer.glare_fraction > 0:
+        fy, fx = (f / pixel_mm for f in _frequency_axes(shape))
+        return _evaluate_transfer(transfer, np.hypot(fy[:, None], fx)).astype(np.float32)
+    fy, fx = (f / np.float32(pixel_mm * transfer.f0_per_mm) for f in _frequency_axes(shape))
     # The values are computed in place, because allocating a new large array takes longer than the arithmetic.
     passed = fy[:, None] ** 2 + fx**2
-    np.power(passed, np.float32(power / 2), out=passed)
+    np.power(passed, np.float32(transfer.power / 2), out=passed)
     passed += 1
     return np.asarray(np.reciprocal(passed, out=passed))
+
+
+def _evaluate_transfer(transfer: _Transfer, frequency_per_mm: NDArray[Any]) -> NDArray[np.float64]:
+    """Evaluate a transfer function at frequencies (...) in 1/mm."""
+    if transfer.table is None:
+        sharp = 1 / (1 + (frequency_per_mm / transfer.f0_per_mm) ** transfer.power)
+    else:
+        sharp = np.interp(frequency_per_mm, *np.array(transfer.table).T)
+    if transfer.glare_fraction > 0:
+        wide = (1 + (2 * np.pi * transfer.glare_mm * frequency_per_mm) ** 2) ** -1.5
+        sharp = sharp * (1 - transfer.glare_fraction + transfer.glare_fraction * wide)
+    return np.asarray(sharp)
 
 
 def compute_transfer(
     detector: Detector, frequency_per_mm: NDArray[np.float64], curve: str = "mtf"
 ) -> NDArray[np.float64]:
-    """Compute the transfer function 1 / (1 + (f / f0)^power) of a detector.
+    """Compute the transfer function of a detector: 1 / (1 + (f / f0)^power), or its table, and the glare.
 
     Parameters
     ----------
@@ -176,15 +211,15 @@ def compute_transfer(
     (...) float64 array
         Transfer function, from 0 to 1.
     """
-    f0, power = _select_transfer_parameters(detector, curve)
-    return np.asarray(1 / (1 + (frequency_per_mm / f0) ** power))
+    return _evaluate_transfer(_select_transfer(detector, curve), frequency_per_mm)
 
 
-def _select_transfer_parameters(detector: Detector, curve: str) -> tuple[float, float]:
-    """Return f0 in 1/mm and the power of the transfer function for signal ("mtf") or quantum noise ("ntf")."""
+def _select_transfer(detector: Detector, curve: str) -> _Transfer:
+    """Return the transfer function for signal ("mtf") or quantum noise ("ntf")."""
+    glare = (detector.glare_fraction, detector.glare_mm)
     if curve == "mtf":
-        return detector.mtf_f0_per_mm, detector.mtf_power
-    return detector.ntf_f0_per_mm, detector.ntf_power
+        return _Transfer(detector.mtf_f0_per_mm, detector.mtf_power, detector.mtf, *glare)
+    return _Transfer(detector.ntf_f0_per_mm, detector.ntf_power, detector.ntf, *glare)
 
 
 def _padded_lengths(shape: tuple[int, ...]) -> tuple[list[int], list[int]]:

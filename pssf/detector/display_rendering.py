@@ -16,17 +16,18 @@ from ..core.checks import (
     require_integer,
 )
 from ..core.keyword_arguments import check_keywords
-from ..data.imaging.detector_table import load_detectors
 from ..data.imaging.display_table import (
     DisplayProcessing,
     FlatPanelProcessing,
     ScreenFilm,
     load_display_processing,
 )
+from ..model.detector import Detector, resolve_detector
 from ..model.radiograph import Radiograph
 from ..model.sampling.acquisition import SIDE_MARKERS
 from ..xray.collimator import penumbra_mm
 from .display_processing import render_film, render_log, render_processed
+from .panel_readout import linearise_pixels
 from .side_marker import draw_letter
 
 # Names of the display processing methods.
@@ -49,7 +50,7 @@ def render_for_display(
     *,
     bits: int = 8,
     side: str | None = None,
-    detector: str = "csi",
+    detector: str | Detector = "csi",
     processing: str | FlatPanelProcessing | ScreenFilm = "log",
     pixel_mm: float = 0.15,
     field_mm: tuple[float, float] = (0.0, 0.0),
@@ -67,8 +68,8 @@ def render_for_display(
     side : {"right", "left"}, optional
         Right or left knee. If specified, a collimator edge is drawn in each direction in which the beam is not
         collimated. The marker R or L is drawn on the lateral side, unless the radiograph shows a lead marker.
-    detector : str, default "csi"
-        Detector whose offset is subtracted.
+    detector : str or Detector, default "csi"
+        Detector whose offset and response curve are removed.
     processing : {"log", "processed", "film"}, FlatPanelProcessing or ScreenFilm, default "log"
         Display processing. ``"log"`` is the logarithm of the signal with attenuated large structures and slightly
         sharpened edges. ``"processed"`` is multi-scale contrast processing with a grey-level curve, as in flat-panel
@@ -114,12 +115,11 @@ def render_for_display(
     else:
         lead = False
     _require_pixels(pixels)
-    panels = load_detectors()
-    require_choice("detector", detector, tuple(panels))
+    panel = resolve_detector(detector)
     shown_as = resolve_processing(processing, load_display_processing())
     require_in_range("pixel_mm", pixel_mm, 1e-3, 50, "mm")
     require_in_range("shadow_mm", shadow_mm, 0, 100, "mm")
-    signal = np.maximum(pixels.astype(np.float32) - np.float32(panels[detector].offset_dn), 1.0)
+    signal = np.maximum(linearise_pixels(pixels, panel), 1.0)
     within = _find_field_slices(signal.shape, field_mm, pixel_mm, shadow_mm)
     shown = np.zeros_like(signal)
     # Only the field is rendered, because scatter behind the collimator leaves must not affect the grey levels of the

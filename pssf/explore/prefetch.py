@@ -7,7 +7,7 @@ from multiprocessing import get_context
 from typing import Any
 
 from ..core.processes.child_processes import start_without_working_folder
-from ..data.knees.field_definitions import load_field_specs
+from ..data.imaging.explore_table import load_page_settings
 from ..model.protocol import load_protocol
 
 # Nice value for the lowest process priority on Unix.
@@ -53,7 +53,6 @@ def compute_spectra(protocol_name: str) -> None:
     from ..xray.spectrum import tube_spectrum
 
     tube = load_protocol(protocol_name)
-    law = load_field_specs("protocol")["tube_kv"].range
-    assert law is not None
-    for kv in sorted(range(int(law[0]), int(law[1]) + 1), key=lambda kv: abs(kv - tube.tube_kv)):
+    low, high = load_page_settings().slider["tube_kv"]
+    for kv in sorted(range(int(low), int(high) + 1), key=lambda kv: abs(kv - tube.tube_kv)):
         tube_spectrum(float(kv), tube.anode_angle_deg, tube.filtration_mm_al)

@@ -18,6 +18,8 @@ from ..core.checks import (
 )
 from ..model.protocol import Protocol
 
+# Standard deviation of a Gaussian divided by its full width at half maximum.
+SIGMA_PER_FWHM = 1 / np.sqrt(8 * np.log(2))
 # Largest absolute coordinate of source and detector, in mm. All limits of a view are wide enough for every scene that
 # ray casting accepts.
 _FARTHEST_MM = 1e14
@@ -127,29 +129,35 @@ def resolve_view(protocol: Protocol | View) -> View:
 
 
 def make_focal_spot_views(protocol: Protocol, points_per_side: int = 3) -> list[tuple[View, float]]:
-    """Create views from source positions across a square focal spot, with integration weights.
+    """Create views from source positions across a focal spot, with integration weights.
 
     Parameters
     ----------
     protocol : Protocol
-        Acquisition protocol, which defines the size of the focal spot.
+        Acquisition protocol, which defines the size and shape of the focal spot.
     points_per_side : int, default 3
-        Number of Gauss-Legendre points along each side of the focal spot. The integral is exact if the signal varies
-        over the focal spot as a polynomial of degree ``2 * points_per_side - 1``.
+        Number of Gauss-Legendre points along each side of a square focal spot, or of Gauss-Hermite points across a
+        Gaussian focal spot. The integral is exact if the signal varies over the focal spot as a polynomial of degree
+        ``2 * points_per_side - 1``.
 
     Returns
     -------
     list of tuple of View and float
         View from each source position, with the integration weight. The weights add up to 1.
     """
-    middle, half = resolve_view(protocol), protocol.focal_spot_mm / 2
-    places, weights = np.polynomial.legendre.leggauss(points_per_side)
+    middle = resolve_view(protocol)
+    if protocol.focal_spot_shape == "gaussian":
+        scale, whole = protocol.focal_spot_mm * SIGMA_PER_FWHM, 2 * np.pi
+        places, weights = np.polynomial.hermite_e.hermegauss(points_per_side)
+    else:
+        scale, whole = protocol.focal_spot_mm / 2, 4.0
+        places, weights = np.polynomial.legendre.leggauss(points_per_side)
     views = []
     for dx, wx in zip(places, weights, strict=True):
         for dz, wz in zip(places, weights, strict=True):
             x, y, z = middle.source_mm
-            source = (float(x + half * dx), y, float(z + half * dz))
-            views.append((replace(middle, source_mm=source), float(wx * wz / 4)))
+            source = (float(x + scale * dx), y, float(z + scale * dz))
+            views.append((replace(middle, source_mm=source), float(wx * wz / whole)))
     return views
 
 

@@ -8,6 +8,7 @@ from typing import Any, TypeVar
 from ..core.checks import InputError, require_choice
 from ..data.anatomy.shape_table import load_shape_model
 from ..data.knees.field_definitions import load_field_specs
+from .detector import Detector
 from .knee import (
     MAX_CYSTS,
     MAX_SHAPE_SD,
@@ -20,14 +21,16 @@ from .protocol import Protocol, protocol_from_dict, protocol_to_dict
 T = TypeVar("T", bound=Knee | Protocol)
 # Dataclass of each parameter set, keyed by the name of the parameter set.
 _KINDS: dict[str, type[Knee] | type[Protocol]] = {"knee": Knee, "protocol": Protocol}
+# Dataclasses whose fields are listed.
+_LISTED: dict[str, Any] = {**_KINDS, "detector": Detector}
 
 
 def list_fields(kind: str) -> list[dict[str, str]]:
-    """List the fields of a knee or protocol with their units, allowed values, defaults and sources.
+    """List the fields of a knee, protocol or detector with their units, allowed values, defaults and sources.
 
     Parameters
     ----------
-    kind : {"knee", "protocol"}
+    kind : {"knee", "protocol", "detector"}
         Parameter set whose fields are listed.
 
     Returns
@@ -40,10 +43,10 @@ def list_fields(kind: str) -> list[dict[str, str]]:
     laws = load_field_specs(kind)
     rows = [
         _make_row(field.name, laws[field.name], _format_default(field))
-        for field in fields(_KINDS[kind])
+        for field in fields(_LISTED[kind])
         if field.name in laws
     ]
-    if kind == "protocol":
+    if kind != "knee":
         return rows
     for each in ("osteophyte", "cyst"):
         rows += [_make_row(f"{each}s.{name}", law, "") for name, law in load_field_specs(each).items()]

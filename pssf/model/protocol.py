@@ -5,10 +5,11 @@ from dataclasses import asdict, dataclass, fields, replace
 from os import PathLike
 from typing import Any
 
-from ..core.checks import InputError, build_from_table, require_integer
+from ..core.checks import InputError, build_from_table, require_integer, require_path
 from ..core.keyword_arguments import check_keywords, renamed_attribute, update_field_names
-from ..data.data_files import read_protocol_fields
+from ..data.data_files import read_protocol_fields, read_spectrum
 from ..data.knees.field_definitions import check_fields
+from .detector import Detector, check_layers, check_pairs, detector_from_dict, load_detector
 
 # Rotation of the leg for each projection: axis (0 is x, 2 is z) and angle in degrees, before the knee is mirrored in y.
 # ML and LM turn the lateral side of a right leg to the detector, and axial turns the foot to the detector.
@@ -17,6 +18,10 @@ _VIEW_ROTATIONS = {"AP": (2, 0.0), "PA": (2, 0.0), "ML": (2, -90.0), "LM": (2, -
 # Largest tangent of the angle from the central ray to the edge of the field, as a fraction of the tangent of the anode
 # angle. The limit is assumed: nearer to the anode cut-off, the intensity is below two fifths of its central value.
 _MAX_CUT_OFF_FRACTION = 0.95
+# Range and unit of the photon energies of a spectrum from the user.
+_SPECTRUM_KEV = (1.0, 500.0, "keV")
+# Range and unit of the photons in a bin of a spectrum from the user.
+_SPECTRUM_PHOTONS = (0.0, 1e12, "per mm2 and mAs")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,19 +80,20 @@ class Protocol:
     name : str
         Name of the protocol, used in file names. Allowed: 1 to 64 letters, digits, _ and -.
     tube_kv : float
-        Peak tube voltage. Allowed: 40 to 120 kV.
+        Peak tube voltage. Allowed: 20 to 300 kV.
     mas : float
         Product of tube current and exposure time; 0 gives no exposure. Allowed: 0 to 500 mAs.
     filtration_mm_al : float
-        Total filtration of the beam. Allowed: 0.5 to 40 mm Al.
+        Total filtration of the beam. Allowed: 0 to 40 mm Al.
     anode_angle_deg : float
-        Angle of the tungsten anode. Allowed: 6 to 22 degrees.
+        Angle of the tungsten anode. Allowed: 6 to 45 degrees.
     focal_spot_mm : float
-        Side length of the square focal spot; 0 is a point source without focal-spot blur. Allowed: 0 to 3 mm.
+        Size of the focal spot: side length of a square, or full width at half maximum of a Gaussian; 0 is a point
+        source without focal-spot blur. Allowed: 0 to 3 mm.
     sdd_mm : float
-        Distance from the source to the detector. Allowed: 500 to 3000 mm.
+        Distance from the source to the detector. Allowed: 200 to 3000 mm.
     sod_mm : float
-        Distance from the source to the centre of the joint; must be less than sdd_mm. Allowed: 300 to 2900 mm.
+        Distance from the source to the centre of the joint; must be less than sdd_mm. Allowed: 10 to 2900 mm.
     beam_angle_deg : float
         Rotation of the source about the x axis, relative to the direction set by beam_along; positive angles point the
         beam caudally. Allowed: -30 to 30 degrees.
@@ -99,7 +105,15 @@ class Protocol:
         Pixel pitch of the detector. Allowed: 0.001 to 50 mm.
     mono_kev : float, optional
         Photon energy of a monochromatic beam with 1e6 photons per mm2 and mAs at 1 m, which replaces the tube spectrum.
-        None: the tube spectrum is used. Allowed: 5 to 150 keV.
+        None: the tube spectrum is used. Allowed: 5 to 500 keV.
+    filters : tuple of (str, float), default ()
+        Filters between tube and knee, in addition to the total filtration: material and thickness of each filter.
+        Allowed: pairs of a material and a thickness of 0 to 100 mm, such as [['Cu@8.96', 0.1]].
+    spectrum : tuple of (float, float), optional
+        Spectrum behind the total filtration, which replaces the computed spectrum: photon energy in keV, and photons
+        per mm2 and mAs at 1 m, of each bin. A protocol file may contain the name of a CSV file with two columns. None:
+        the spectrum is computed. Allowed: 2 to 2000 pairs of an energy (1 to 500 keV, ascending) and a number of
+        photons.
     heel : {"none", "anode_proximal", "anode_distal"}, default "none"
         Heel effect: the intensity decreases towards the anode, which is at the proximal or the distal end.
     projection : {"AP", "PA", "ML", "LM", "axial"}, default "AP"
@@ -137,6 +151,8 @@ class Protocol:
         Lead marker on the detector cover: letter R on the left, or letter L on the right of the radiograph.
     texture : {"trabecular", "none"}, default "trabecular"
         Trabecular texture. "none" gives the trabecular bone a uniform density.
+    focal_spot_shape : {"square", "gaussian"}, default "square"
+        Intensity distribution of the focal spot: uniform over a square, or Gaussian in both directions.
     focal_spot : {"blur", "sampled"}, default "blur"
         Model of focal-spot blur. "blur" applies the blur in the joint plane to the entire image. "sampled" casts rays
         from 3 x 3 points of the focal spot, which is correct at every depth.
@@ -152,9 +168,10 @@ class Protocol:
     grid_lines_per_cm : float, default 40
         Number of grid strips per cm; strips are 0.05 mm of lead with aluminium between them. Allowed: 20 to 120
         lines/cm.
-    detector : {"csi", "gos"}, default "csi"
-        Detector type. "csi" is a caesium iodide flat panel, and "gos" is a gadolinium oxysulphide screen with less mass
-        per area.
+    detector : {"csi", "gos", "ideal"} or Detector, default "csi"
+        Detector: name, or path of a detector file, relative to the protocol file. "csi" is a caesium iodide flat panel,
+        "gos" is a gadolinium oxysulphide screen with less mass per area, and "ideal" absorbs the entire energy of every
+        photon without blur or readout noise.
     detector_blur : {"mtf", "none"}, default "mtf"
         Detector blur. "mtf" applies the presampled modulation transfer function (MTF) of the detector.
     dead_pixels : float, default 0
@@ -195,6 +212,8 @@ class Protocol:
     cols: int
     pixel_mm: float
     mono_kev: float | None = None
+    filters: tuple[tuple[str, float], ...] = ()
+    spectrum: tuple[tuple[float, float], ...] | None = None
     heel: str = "none"
     projection: str = "AP"
     flexion_deg: float = 0.0
@@ -209,12 +228,13 @@ class Protocol:
     field_height_mm: float = 0.0
     marker: str = "none"
     texture: str = "trabecular"
+    focal_spot_shape: str = "square"
     focal_spot: str = "blur"
     scatter: str = "kernel"
     scatter_photons: int = 20_000_000
     grid_ratio: float = 0.0
     grid_lines_per_cm: float = 40.0
-    detector: str = "csi"
+    detector: str | Detector = "csi"
     detector_blur: str = "mtf"
     dead_pixels: float = 0.0
     noise: str = "quantum"
@@ -223,7 +243,16 @@ class Protocol:
     apart_mm = renamed_attribute("knee_distance_mm")
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "detector", _convert_detector(self.detector))
         check_fields("protocol", self)
+        object.__setattr__(self, "filters", check_layers("filters", self.filters))
+        if self.filters and self.mono_kev is not None:
+            raise InputError(
+                f"filters must be empty with mono_kev, whose photons are counted behind all filters, got {self.filters}"
+            )
+        if self.spectrum is not None:
+            object.__setattr__(self, "spectrum", _convert_spectrum(self.spectrum))
+            self._check_own_spectrum()
         if not self.sod_mm < self.sdd_mm:
             raise InputError(f"sod_mm must be less than sdd_mm = {self.sdd_mm!r} mm, got {self.sod_mm!r} mm")
         if not self.posture.is_frontal:
@@ -242,6 +271,16 @@ class Protocol:
             raise InputError(
                 f"knee_distance_mm must be 0 with projection = {self.projection!r}, got {self.knee_distance_mm:g} mm: "
                 "one knee would cover the other; use AP, PA or axial for two knees"
+            )
+
+    def _check_own_spectrum(self) -> None:
+        """Check that no other field contradicts a spectrum from the user."""
+        if self.mono_kev is not None:
+            raise InputError(f"mono_kev must be None with a spectrum of your own, got {self.mono_kev:g} keV")
+        if self.heel != "none":
+            raise InputError(
+                f"heel must be 'none' with a spectrum of your own, got {self.heel!r}: the heel effect needs the "
+                "spectrum at every angle, which pssf computes only for a tungsten anode"
             )
 
     def _check_heel(self) -> None:
@@ -296,6 +335,27 @@ class Protocol:
     def posture(self) -> Posture:
         """Leg posture that the protocol specifies."""
         return Posture(**{field.name: getattr(self, field.name) for field in fields(Posture)})
+
+
+def _convert_detector(detector: Any) -> Any:
+    """Convert the path of a detector file, or the fields of a detector, to a Detector; leave other values unchanged."""
+    if isinstance(detector, dict):
+        return detector_from_dict(detector, "detector")
+    if isinstance(detector, PathLike) or (isinstance(detector, str) and detector.endswith(".toml")):
+        return load_detector(detector)
+    if not isinstance(detector, str | Detector):
+        raise InputError(f"detector must be a name, the path of a .toml file or a Detector, got {detector!r}")
+    return detector
+
+
+def _convert_spectrum(spectrum: Any) -> tuple[tuple[float, float], ...]:
+    """Check a spectrum, or the path of its file, and convert it to tuples of energy in keV and number of photons."""
+    if isinstance(spectrum, str | PathLike):
+        spectrum = read_spectrum(require_path(spectrum, "spectrum"))
+    bins = check_pairs("spectrum", spectrum, _SPECTRUM_KEV, _SPECTRUM_PHOTONS)
+    if not any(photons for _, photons in bins):
+        raise InputError(f"spectrum must have photons in at least one bin, got 0 in all {len(bins)} bins")
+    return bins
 
 
 def protocol_from_dict(table: dict[str, Any], source_name: str) -> Protocol:

@@ -9,7 +9,7 @@ from ..geometry.view import magnification, resolve_view
 from ..model.protocol import Protocol
 from ..xray.materials import Material
 from ..xray.resolved_technique import Technique
-from ..xray.spectrum import compute_beam, tube_spectrum
+from ..xray.spectrum import compute_beam, compute_source_spectrum
 
 # Joule per keV (CODATA 2018, exact).
 _JOULE_PER_KEV = 1.602176634e-16
@@ -134,7 +134,7 @@ def compute_beam_quantities(technique: Technique) -> dict[str, float]:
         beam = compute_beam(technique)
         energies, photons = beam.energies_kev, beam.photons_per_mm2 / max(protocol.mas, 1e-12)
     else:
-        energies, photons = tube_spectrum(protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
+        energies, photons = compute_source_spectrum(technique)
     first, second = half_value_layers_mm_al(air, energies, photons)
     kerma = air_kerma_ugy(air, energies, photons)
     at_detector = (1000.0 / protocol.sdd_mm) ** 2

@@ -113,7 +113,7 @@ def measure_mtf(technique: Technique) -> FrequencyCurve:
         Presampled MTF up to the Nyquist frequency.
     """
     quiet = make_bare_technique(technique, _EDGE_PX).replace_protocol(
-        noise="none", mono_kev=60.0, mas=_monoenergetic_mas(technique)
+        noise="none", mono_kev=60.0, filters=(), spectrum=None, mas=_monoenergetic_mas(technique)
     )
     pixel_mm = technique.protocol.pixel_mm
     rows, cols = np.mgrid[:_EDGE_PX, :_EDGE_PX] - (_EDGE_PX - 1) / 2
@@ -130,7 +130,9 @@ def measure_mtf(technique: Technique) -> FrequencyCurve:
 
 def _monoenergetic_mas(technique: Technique) -> float:
     """Compute the mAs at which a monoenergetic beam gives a signal near the middle of the 16-bit range."""
-    trial = make_bare_technique(technique, 8).replace_protocol(noise="none", mono_kev=60.0, mas=1.0)
+    trial = make_bare_technique(technique, 8).replace_protocol(
+        noise="none", mono_kev=60.0, filters=(), spectrum=None, mas=1.0
+    )
     return 30000.0 / max(float(_require_pixels(_expose_paths({}, trial)).mean()) - technique.detector.offset_dn, 1.0)
 
 

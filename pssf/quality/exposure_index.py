@@ -7,6 +7,7 @@ import numpy as np
 from ..anatomy import build
 from ..core.checks import Array
 from ..core.resample import downsample_by_blocks
+from ..detector.panel_readout import linearise_pixels
 from ..model.knee import Knee
 from ..model.protocol import Protocol
 from ..model.radiograph import Radiograph
@@ -22,8 +23,6 @@ _ROI_HALF_MM = 3.0
 _LIMB_SIGNAL_FRACTION = 0.5
 # Quantile of the signal that is taken as the open-beam signal.
 _GREATEST = 0.999
-# Value of a saturated pixel, in DN.
-_FULL_DN = 65535
 # Cell size of the scatter-to-primary-ratio map, in mm at the detector.
 _SPR_CELL_MM = 2.4
 
@@ -96,14 +95,14 @@ def compute_exposure_index(radiograph: Radiograph) -> float:
     detector = technique.detector
     rows, cols = compute_transmission_factors(technique, 1)
     field = radiograph.pixels[np.ix_(rows >= 1, cols >= 1)]
-    kev = (field.astype(np.float64) - detector.offset_dn) * _kev_per_dn(technique)
+    kev = linearise_pixels(field, detector).astype(np.float64) * _kev_per_dn(technique)
     greatest = float(np.quantile(kev, _GREATEST))
-    if field.max() == _FULL_DN:
+    if field.max() == detector.saturation_dn:
         # If the open beam saturates the detector, the open-beam signal is computed from the spectrum, not from the
         # pixels.
         beam, nearer = compute_beam(technique), (1000.0 / protocol.sdd_mm) ** 2
         greatest = float((beam.photons_per_mm2 * beam.signal_kev).sum()) * nearer * protocol.pixel_mm**2
-    limb = kev[(kev < _LIMB_SIGNAL_FRACTION * greatest) & (field < _FULL_DN)]
+    limb = kev[(kev < _LIMB_SIGNAL_FRACTION * greatest) & (field < detector.saturation_dn)]
     return exposure_index(limb if limb.size else kev.ravel(), technique)
 
 
@@ -168,7 +167,9 @@ def _kev_per_ugy(technique: Technique) -> float:
 
     An RQA5 beam is 70 kV, filtered by 23.5 mm of aluminium (IEC 61267).
     """
-    rqa5 = technique.replace_protocol(tube_kv=70.0, filtration_mm_al=23.5, anode_angle_deg=12.0, mono_kev=None, mas=1.0)
+    rqa5 = technique.replace_protocol(
+        tube_kv=70.0, filtration_mm_al=23.5, anode_angle_deg=12.0, mono_kev=None, filters=(), spectrum=None, mas=1.0
+    )
     beam = compute_beam(rqa5)
     energies, photons = tube_spectrum(70.0, 12.0, 23.5)
     signal = float((beam.photons_per_mm2 * beam.signal_kev).sum())

@@ -14,14 +14,14 @@ from ..core.checks import (
     require_workers,
 )
 from ..core.resample import upsample_linear
-from ..data.imaging.detector_table import Detector
 from ..geometry.scene import Scene
 from ..geometry.view import View
+from ..model.detector import Detector
 from ..xray.collimator import field_half_size_mm
-from ..xray.materials import absorbed_fraction, attenuation_per_mm
+from ..xray.materials import attenuation_per_mm
 from ..xray.photon_interactions import CUT_OFF_KEV, make_interaction_tables, table_energies_kev
 from ..xray.resolved_technique import Technique
-from ..xray.scintillator_response import load_scintillator_response
+from ..xray.scintillator_response import compute_interacting_fraction, load_scintillator_response
 from ..xray.spectrum import compute_beam
 from .photon_transport import TransportSetup, follow_photons
 from .voxel_grid import Voxels, voxelise_scene
@@ -227,7 +227,7 @@ def _scintillator_tables(detector: Detector, max_kev: float) -> dict[str, Array]
     The deposited fraction is that of normal incidence.
     """
     energies = table_energies_kev(max_kev)
-    absorbed = absorbed_fraction(detector.formula, detector.mg_per_cm2, energies)
+    absorbed = compute_interacting_fraction(detector, energies)
     response = load_scintillator_response(detector)
     return {
         # The optical depth of an opaque layer is limited to 28, which changes the absorption by only 1e-12.

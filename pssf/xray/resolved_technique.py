@@ -5,15 +5,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-import msgspec
-
 from ..core.checks import InputError
 from ..data.anatomy.tissue_table import Tissue, load_tissues
-from ..data.imaging.detector_table import Detector, load_detectors
 from ..data.imaging.scatter_table import ScatterKernel, load_scatter_kernel
 from ..geometry.view import View, resolve_view
+from ..model.detector import Detector, resolve_detector
 from ..model.protocol import Protocol
-from .materials import Material, resolve_material
+from .materials import Material, parse_compound, resolve_material
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +96,7 @@ class Technique:
         Technique
             Copy for comparison with calculations that neglect the escape of fluorescence and scattered photons.
         """
-        return replace(self, detector=msgspec.structs.replace(self.detector, escape=False))
+        return replace(self, detector=self.detector.without_escape())
 
 
 def resolve_technique(protocol: Protocol) -> Technique:
@@ -117,13 +115,18 @@ def resolve_technique(protocol: Protocol) -> Technique:
     Raises
     ------
     InputError
-        `protocol` is not a Protocol.
+        `protocol` is not a Protocol, or the material of a filter, scintillator or cover is unknown.
     """
     if not isinstance(protocol, Protocol):
         raise InputError(f"protocol must be a Protocol, for example from load_protocol, got {protocol!r}")
+    detector, tissues = resolve_detector(protocol.detector), load_tissues()
+    for name, _ in protocol.filters:
+        resolve_material(name, tissues)
+    for name in (f"{detector.formula}@{detector.density_g_per_cm3}", *(name for name, _ in detector.cover)):
+        parse_compound(name)
     return Technique(
         protocol=protocol,
-        detector=load_detectors()[protocol.detector],
+        detector=detector,
         kernel=load_scatter_kernel(),
-        tissues=load_tissues(),
+        tissues=tissues,
     )

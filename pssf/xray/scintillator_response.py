@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from ..core.checks import Array
 from ..core.numba_kernel import kernel, kernel_helper
 from ..data.array_cache import Arrays, CacheKey, load_or_make_arrays
-from ..data.imaging.detector_table import Detector
-from .materials import Material, absorbed_fraction, parse_compound
+from ..model.detector import Detector
+from .materials import Material, absorbed_fraction, attenuation_per_mm, parse_compound
 from .photon_interactions import CUT_OFF_KEV, InteractionTables, make_interaction_tables, table_energies_kev
 from .photon_sampling import (
     find_first_above,
@@ -101,9 +101,9 @@ def load_scintillator_response(detector: Detector) -> ScintillatorResponse:
     Returns
     -------
     ScintillatorResponse
-        Deposited energy relative to photon energy. If the detector has ``escape = false``, both ratios are 1.
+        Deposited energy relative to photon energy. If the detector neglects escape, both ratios are 1.
     """
-    if not detector.escape:
+    if detector.escape == "none" or detector.absorption == "all":
         ends = np.array([0.0, _MAX_KEV])
         return ScintillatorResponse(ends, np.ones(2), np.ones(2))
     arrays = load_or_make_arrays(
@@ -130,9 +130,33 @@ def compute_deposited_energy(detector: Detector, energies_kev: Array) -> tuple[A
         Mean squared deposited energy per incident photon, in keV2.
     """
     response = load_scintillator_response(detector)
-    interacting = absorbed_fraction(detector.formula, detector.mg_per_cm2, energies_kev)
+    interacting = compute_interacting_fraction(detector, energies_kev)
     mean, square = (np.interp(energies_kev, response.energies_kev, each) for each in (response.mean, response.square))
     return interacting * energies_kev * mean, interacting * energies_kev**2 * square
+
+
+def compute_interacting_fraction(detector: Detector, energies_kev: Array) -> Array:
+    """Compute the fraction of photons at normal incidence that interact in a scintillator behind its cover.
+
+    Parameters
+    ----------
+    detector : Detector
+        Detector with the material and mass per area of its scintillator, and its cover.
+    energies_kev : (bins,) array, keV
+        Photon energies.
+
+    Returns
+    -------
+    (bins,) float64 array
+        Fraction from 0 to 1, without coherent scattering in the scintillator.
+    """
+    if detector.absorption == "all":
+        fraction = np.ones(len(energies_kev))
+    else:
+        fraction = absorbed_fraction(detector.formula, detector.mg_per_cm2, energies_kev)
+    for name, mm in detector.cover:
+        fraction = fraction * np.exp(-mm * attenuation_per_mm(parse_compound(name), energies_kev))
+    return fraction
 
 
 def response_name(detector: Detector) -> str:
@@ -142,7 +166,7 @@ def response_name(detector: Detector) -> str:
 
 def response_origin(detector: Detector) -> CacheKey:
     """Return the code and input on which the response of a scintillator depends."""
-    facts = repr((detector.formula, detector.density, detector.packing, detector.mg_per_cm2)).encode()
+    facts = repr((detector.formula, detector.mg_per_cm2)).encode()
     return CacheKey(sources=_SOURCES, libraries=("xraylib", "numba"), facts=facts)
 
 
@@ -159,10 +183,11 @@ def simulate_response_arrays(detector: Detector) -> Arrays:
     mapping of str to array
         Arrays with the names and meanings of `ScintillatorResponse`.
     """
-    material = parse_compound(f"{detector.formula}@{detector.density * detector.packing!r}")
+    # Only the mass per area affects the response, so all layers have a density of 1 g/cm3.
+    material, thickness_mm = parse_compound(f"{detector.formula}@1.0"), detector.mg_per_cm2 / 100.0
     tables, shells, edges = make_layer_tables(material)
     energies = _response_energies_kev(edges)
-    moments = np.array([simulate_deposited_energy(kev, detector.thickness_mm, tables, shells) for kev in energies])
+    moments = np.array([simulate_deposited_energy(kev, thickness_mm, tables, shells) for kev in energies])
     interacting = absorbed_fraction(detector.formula, detector.mg_per_cm2, energies)
     mean, square = moments[:, 0] / (interacting * energies), moments[:, 1] / (interacting * energies**2)
     return {"energies_kev": energies, "mean": mean, "square": square}

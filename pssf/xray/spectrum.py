@@ -81,13 +81,15 @@ def compute_beam(technique: Technique, materials: Iterable[Material] = ()) -> Be
     if protocol.mono_kev is not None:
         energies, photons = np.array([protocol.mono_kev]), np.array([_MONO_PHOTONS_PER_MM2_MAS])
         return Beam(energies, photons * protocol.mas, *compute_deposited_energy(technique.detector, energies))
-    tube = (protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
-    energies, photons = tube_spectrum(*tube)
+    energies, photons = compute_source_spectrum(technique)
     response = compute_deposited_energy(technique.detector, energies)
-    edges = [edge for edge in absorption_edges_kev(materials) if energies[0] < edge < energies[-1]]
-    if edges:
+    filters = [technique.material(name) for name, _ in protocol.filters]
+    edges = [edge for edge in absorption_edges_kev([*materials, *filters]) if energies[0] < edge < energies[-1]]
+    if edges and protocol.spectrum is None:
         signal = (photons * response[0]).sum()
-        energies, photons = _split_bins(*tube_spectrum(*tube, bin_kev=_FINE_KEV), edges, _FINE_KEV)
+        fine = replace(technique, protocol=replace(protocol, filters=()))
+        energies, photons = _split_bins(*compute_source_spectrum(fine, bin_kev=_FINE_KEV), edges, _FINE_KEV)
+        photons = photons * _filter_transmission(technique, energies)
         response = compute_deposited_energy(technique.detector, energies)
         photons = photons * (signal / (photons * response[0]).sum())
     return Beam(energies, photons * protocol.mas, *response)
@@ -164,10 +166,47 @@ def heel_factor(technique: Technique) -> Array:
         slopes = np.sort(sign * _slopes_near_cut_off(lit, float(cut_off)))
     signals = []
     for slope in (*slopes, 0.0):
-        beam = (protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
-        energies, photons = tube_spectrum(*beam, off_axis=round(sign * float(slope), 9))
+        energies, photons = compute_source_spectrum(technique, off_axis=round(sign * float(slope), 9))
         signals.append((photons * compute_deposited_energy(technique.detector, energies)[0]).sum() * (1 + slope**2))
     return np.asarray(CubicSpline(slopes, signals[:-1])(row) / signals[-1])
+
+
+def compute_source_spectrum(
+    technique: Technique, off_axis: float = 0.0, bin_kev: float = _BIN_KEV
+) -> tuple[Array, Array]:
+    """Compute the spectrum behind all filters, or take the spectrum of the protocol.
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol.
+    off_axis : float, default 0
+        Tangent of the angle from the central ray, positive away from the anode.
+    bin_kev : float, default 0.5
+        Width of the bins, in keV. A spectrum of the user keeps its bins.
+
+    Returns
+    -------
+    energies_kev : (bins,) float64 array
+        Centres of the bins, in keV.
+    photons : (bins,) float64 array
+        Photons per mm2 and mAs at 1 m.
+    """
+    protocol = technique.protocol
+    if protocol.spectrum is not None:
+        energies, photons = np.array(protocol.spectrum).T
+    else:
+        tube = (protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
+        energies, photons = tube_spectrum(*tube, off_axis=off_axis, bin_kev=bin_kev)
+    return energies, photons * _filter_transmission(technique, energies)
+
+
+def _filter_transmission(technique: Technique, energies_kev: Array) -> Array:
+    """Compute the transmission (bins,) of the added filters of a protocol; rays cross them at normal incidence."""
+    depth = np.zeros(len(energies_kev))
+    for name, mm in technique.protocol.filters:
+        depth += mm * attenuation_per_mm(technique.material(name), energies_kev)
+    return np.exp(-depth)
 
 
 def _slopes_near_cut_off(max_slope: float, cut_off_slope: float) -> Array:

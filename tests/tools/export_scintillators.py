@@ -7,13 +7,13 @@ Run ``python -m tools.export_scintillators`` in the folder ``tests`` after a cha
 from dataclasses import replace
 
 from pssf.data.array_cache import save_to_package
-from pssf.data.imaging.detector_table import load_detectors
+from pssf.model.detector import load_detectors
 from pssf.xray.scintillator_response import response_name, response_origin, simulate_response_arrays
 
 
 def main() -> None:
     """Simulate the responses of all detectors, and replace their files in the package."""
-    for detector in load_detectors().values():
+    for detector in (load_detectors()[name] for name in ("csi", "gos")):
         origin = replace(response_origin(detector), libraries=())
         save_to_package(response_name(detector), origin, simulate_response_arrays(detector))
 

@@ -11,6 +11,7 @@ from dataclasses import MISSING, Field, fields
 from pathlib import Path
 
 from pssf.data.knees.field_definitions import FieldSpec, load_field_specs
+from pssf.model.detector import Detector
 from pssf.model.knee import Cyst, Knee, Osteophyte
 from pssf.model.protocol import Protocol
 
@@ -18,7 +19,7 @@ from pssf.model.protocol import Protocol
 LINE_LENGTH = 120
 INDENT = " " * 8
 # Dataclass of each field table.
-DATACLASSES = {"knee": Knee, "osteophyte": Osteophyte, "cyst": Cyst, "protocol": Protocol}
+DATACLASSES = {"knee": Knee, "osteophyte": Osteophyte, "cyst": Cyst, "protocol": Protocol, "detector": Detector}
 _SECTION = re.compile(r'(^class {name}:\n    """.*?\n    Parameters\n    -+\n)(.*?)(?=\n\n)', re.DOTALL | re.MULTILINE)
 _ENTRY = re.compile(r"^    (\w+) : [^\n]*\n(?:        [^\n]*\n?)+", re.MULTILINE)
 
@@ -39,13 +40,21 @@ def describe_type(field: Field, spec: FieldSpec) -> str:
         Type and default, such as ``float, default 5``.
     """
     kind = "str" if list_words(spec) or (not spec.number_type and not spec.choices) else "int"
-    kind = "float" if spec.range else kind
+    kind = spec.value_type or ("float" if spec.range else kind)
     if field.default is MISSING:
         return kind
     if field.default is None:
         return f"{kind}, optional"
     value = field.default
-    shown = f'"{value}"' if isinstance(value, str) else f"{value:_}" if isinstance(value, int) else f"{value:g}"
+    shown = (
+        repr(value)
+        if isinstance(value, tuple)
+        else f'"{value}"'
+        if isinstance(value, str)
+        else f"{value:_}"
+        if isinstance(value, int)
+        else f"{value:g}"
+    )
     return f"{kind}, default {shown}"
 
 
@@ -109,7 +118,7 @@ def write_docstring(source: str, kind: str) -> str:
 
 
 def main() -> None:
-    """Rewrite the docstrings of all four dataclasses."""
+    """Rewrite the docstrings of all dataclasses."""
     for kind, dataclass in DATACLASSES.items():
         module = Path(inspect.getsourcefile(dataclass) or "")
         module.write_text(write_docstring(module.read_text(encoding="utf-8"), kind), encoding="utf-8")

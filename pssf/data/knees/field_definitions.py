@@ -1,4 +1,4 @@
-"""Field definitions for knees, osteophytes, cysts and protocols (``data/*_fields.toml``)."""
+"""Field definitions for knees, osteophytes, cysts, protocols and detectors (``data/*_fields.toml``)."""
 
 import re
 from functools import cache
@@ -33,11 +33,16 @@ class FieldSpec(Record, frozen=True):
     integer_range : (int, int) or None
         Lower and upper bound of an integer field; None for other fields.
     choices : tuple or None
-        Allowed values, as strings or integers; None if the field has no list of values.
+        Allowed values, as strings or integers; None if the field has no list of values. If `form` is also specified,
+        only text must be among these values.
     pattern : str or None
         Description of the characters that are allowed in a name; None if the field is not a name.
     max_length : int or None
         Maximum length of a text field, in characters; None for other fields.
+    form : str or None
+        Description of the allowed values of a field with structured values, which its dataclass checks.
+    value_type : str
+        Type of a structured value, for the documentation.
     optional : bool
         Whether None is an allowed value.
     source : str
@@ -52,6 +57,8 @@ class FieldSpec(Record, frozen=True):
     choices: tuple[str | int, ...] | None = None
     pattern: str | None = None
     max_length: int | None = None
+    form: str | None = None
+    value_type: str = ""
     optional: bool = False
     source: str = ""
 
@@ -80,7 +87,7 @@ class FieldSpec(Record, frozen=True):
             require_in_range(name, value, *self.range, self.unit)
         if self.integer_range is not None:
             require_integer(name, value, *self.integer_range, self.unit)
-        if self.choices is not None:
+        if self.choices is not None and (self.form is None or isinstance(value, str)):
             require_choice(name, value, (*self.choices, None) if self.optional else self.choices)
 
     @property
@@ -96,7 +103,8 @@ class FieldSpec(Record, frozen=True):
             return f"{bounds[0]:g} to {'2**63 - 1' if bounds[1] == _MAX_INT64 else format(bounds[1], 'g')}"
         if self.max_length:
             return f"text of 1 to {self.max_length} characters"
-        return self.pattern or ", ".join(map(str, self.choices or ()))
+        words = ", ".join(map(str, self.choices or ()))
+        return self.pattern or (f"{words}, or {self.form}" if words and self.form else words or self.form or "")
 
 
 def check_fields(kind: str, values: Any) -> None:
@@ -107,7 +115,7 @@ def check_fields(kind: str, values: Any) -> None:
 
     Parameters
     ----------
-    kind : {"knee", "osteophyte", "cyst", "protocol"}
+    kind : {"knee", "osteophyte", "cyst", "protocol", "detector"}
         Kind of object, which selects the table ``data/<kind>_fields.toml`` of field definitions.
     values : dataclass instance
         Object to check.
@@ -139,11 +147,11 @@ def beam_angle_range_deg() -> Pair:
 
 @cache
 def load_field_specs(kind: str) -> dict[str, FieldSpec]:
-    """Load the definitions of all fields of a knee, an osteophyte, a cyst or a protocol.
+    """Load the definitions of all fields of a knee, an osteophyte, a cyst, a protocol or a detector.
 
     Parameters
     ----------
-    kind : {"knee", "osteophyte", "cyst", "protocol"}
+    kind : {"knee", "osteophyte", "cyst", "protocol", "detector"}
         Kind of object, which selects the table ``data/<kind>_fields.toml``.
 
     Returns

@@ -15,11 +15,11 @@ from pydicom.uid import UID, ExplicitVRLittleEndian
 from pydicom.valuerep import DSfloat
 
 from ...core.checks import InputError, require_choice
-from ...data.imaging.detector_table import Detector, load_detectors
 from ...data.imaging.dicom_codes import DicomTables, load_dicom_tables
 from ...data.imaging.display_table import FlatPanelProcessing, ScreenFilm
 from ...detector import format_processing, render_for_display
 from ...geometry.view import magnification, resolve_view
+from ...model.detector import Detector, resolve_detector
 from ...model.knee import Knee, knee_to_dict
 from ...model.protocol import Protocol
 from ...model.radiograph import Radiograph
@@ -54,7 +54,7 @@ def write_radiograph(
         Display processing of a presentation image; None for the log display.
     """
     protocol, tables = radiograph.protocol, load_dicom_tables()
-    detector = load_detectors()[protocol.detector]
+    detector = resolve_detector(protocol.detector)
     shown: NDArray[np.generic] = radiograph.pixels
     if intent == "presentation":
         shown = render_for_display(radiograph, bits=12, side=side, processing=processing or "log")
@@ -72,7 +72,8 @@ def write_radiograph(
     item.update(_make_anatomy_attributes((radiograph.knee, *radiograph.knees), protocol, tables))
     item.update(_make_technique_attributes(protocol, detector, tables))
     item.update(_make_geometry_attributes(radiograph.protocol))
-    remark = f"linear in absorbed energy, offset {detector.offset_dn:g}"
+    linear = "linear in absorbed energy" if detector.response is None else "with the response curve of the detector"
+    remark = f"{linear}, offset {detector.offset_dn:g}"
     if intent == "presentation":
         remark = f"for display, not for measurement of intensity; processing {format_processing(processing)}"
         item.SourceImageSequence = [make_reference_item(uids, tables, "source_of_processing")]
@@ -353,14 +354,14 @@ def _make_technique_attributes(protocol: Protocol, detector: Detector, tables: D
     item = make_dataset({
         "ProtocolName": format_protocol_name(protocol),
         "FocalSpots": _make_decimal_string(protocol.focal_spot_mm),
-        "DetectorID": f"PSSF-{protocol.detector}".upper(),
+        "DetectorID": f"PSSF-{detector.name}".upper(),
         "DetectorDescription": f"{detector.formula}, {detector.thickness_mm:g} mm, packing {detector.packing:g}",
     })  # fmt: skip
     if protocol.mas > 0:
         item.ExposureInuAs = round(1000 * protocol.mas)
         if float(protocol.mas).is_integer():  # A rounded integer Exposure would contradict ExposureInuAs.
             item.Exposure = int(protocol.mas)
-    if protocol.mono_kev is None:
+    if protocol.mono_kev is None and protocol.spectrum is None:
         item.update(make_dataset(tables.tube))
         item.KVP = _make_decimal_string(protocol.tube_kv)
         item.FilterThicknessMinimum = item.FilterThicknessMaximum = _make_decimal_string(protocol.filtration_mm_al)
@@ -368,10 +369,15 @@ def _make_technique_attributes(protocol: Protocol, detector: Detector, tables: D
 
 
 def _describe_beam(protocol: Protocol) -> str:
-    """Describe beam angle and monoenergetic beam energy as text, because DICOM has no attributes for these values."""
+    """Describe beam angle, energy and filters as text, because DICOM has no attributes for some of these values."""
     angle, kev = protocol.beam_angle_deg, protocol.mono_kev
-    tilt = f" Beam {abs(angle):g} deg {'caudad' if angle > 0 else 'cephalad'}." if angle else ""
-    return tilt if kev is None else f"{tilt} Monoenergetic beam, {kev:g} keV."
+    parts = [f" Beam {abs(angle):g} deg {'caudad' if angle > 0 else 'cephalad'}."] if angle else []
+    if kev is not None:
+        parts.append(f" Monoenergetic beam, {kev:g} keV.")
+    if protocol.spectrum is not None:
+        parts.append(" Spectrum specified by the user.")
+    parts += [f" Added filter {mm:g} mm {name}." for name, mm in protocol.filters]
+    return "".join(parts)
 
 
 def _make_geometry_attributes(protocol: Protocol) -> Dataset:
