@@ -258,6 +258,8 @@ def _trace_scene(scene: Scene, context: StageContext, paths: Paths | None) -> tu
     Path lengths are stored as sparse maps unless the radiograph keeps them.
     """
     protocol = context.technique.protocol
+    if paths is not None and protocol.subpixels != 1:
+        raise InputError(f"subpixels must be 1 with paths, got {protocol.subpixels}: paths contain one ray per pixel")
     if paths is None and "path_mm" not in context.keep:
         path_mm, audit = trace_sparse(scene, protocol, engine=context.engine, workers=context.workers)
         return LatentImage(path_mm=path_mm, scene=scene), audit

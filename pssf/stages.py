@@ -7,6 +7,7 @@ casting are not stages, because the user may also supply path lengths.
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import product
 from typing import Any, Literal
 
 import numpy as np
@@ -19,13 +20,19 @@ from .detector.panel_readout import simulate_readout
 from .detector.quantum_noise import Map, sample_quantum_noise
 from .detector.side_marker import compute_marker_transmission
 from .geometry.scene import Scene
-from .geometry.view import View, make_focal_spot_views
+from .geometry.view import View, make_focal_spot_views, shift_pixels
 from .model.protocol import Protocol
 from .raycast import trace_sparse
 from .scatter.antiscatter_grid import compute_scatter_transmission, make_grid, transmit_through_grid
 from .scatter.monte_carlo import compute_monte_carlo_scatter_kev
 from .scatter.scatter_kernel import central_air_gap_mm, compute_air_gaps_mm, compute_kernel_scatter_kev
-from .xray.primary_beam import Signal, compute_primary, compute_primary_before_and_behind
+from .xray.primary_beam import (
+    Signal,
+    apply_field_factors,
+    compute_bare_primary,
+    compute_primary,
+    compute_primary_before_and_behind,
+)
 from .xray.resolved_technique import Technique
 from .xray.spectrum import compute_beam
 
@@ -34,6 +41,10 @@ from .xray.spectrum import compute_beam
 _NOISE_STREAM = 3
 # Number of source points along each side of the focal spot, for a sampled focal spot.
 _FOCAL_SPOT_POINTS = 3
+# Square root of the number of rays per pixel if subpixels = 0 and the scene needs more than one.
+_AUTOMATIC_SUBPIXELS = 5
+# Deviation of a pixel from the mean of its neighbours, relative to this mean, above which one ray is not enough.
+_UNRESOLVED = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +117,8 @@ class LatentImage:
         Pixel values in DN.
     frequencies : (rows, cols) complex64 array, optional
         Padded signal in the frequency domain.
+    is_area_sampled : bool
+        Whether the primary is the mean over the area of each pixel, not the signal at its centre.
     """
 
     path_mm: Mapping[str, Any]
@@ -119,6 +132,7 @@ class LatentImage:
     kept: dict[str, Any] = field(default_factory=dict)
     pixels: NDArray[np.uint16] | None = None
     frequencies: detector_blur.Frequencies | None = None
+    is_area_sampled: bool = False
 
     def compute_air_gaps_mm(self, view: View) -> Array | float:
         """Compute the distance from the exit surface of the object to the detector plane.
@@ -224,8 +238,10 @@ def attenuate(image: LatentImage, context: StageContext) -> None:
         image.primary = compute_primary(image.path_mm, technique, context.workers)
 
 
-def sample_focal_spot(image: LatentImage, context: StageContext) -> None:
-    """Compute the primary as the mean over focal-spot source points, which gives the correct blur at every depth.
+def sample_rays(image: LatentImage, context: StageContext) -> None:
+    """Compute the primary as the mean over points of the focal spot and of the pixel area.
+
+    Several points of the focal spot give the correct blur at every depth.
 
     Parameters
     ----------
@@ -235,7 +251,45 @@ def sample_focal_spot(image: LatentImage, context: StageContext) -> None:
         Technique and settings.
     """
     assert image.scene is not None
-    image.primary = compute_sampled_primary(image.scene, context.technique, context.engine, context.workers)
+    subpixels = context.technique.protocol.subpixels
+    if subpixels == 0:
+        # A sampled focal spot smooths the signal, so its central ray shows every edge.
+        sharp = image.primary or compute_primary(image.path_mm, context.technique, context.workers)
+        if not has_unresolved_edges(sharp.kev):
+            if context.technique.protocol.focal_spot == "sampled":
+                subpixels = 1
+            else:
+                return
+        subpixels = subpixels or _AUTOMATIC_SUBPIXELS
+    points = _FOCAL_SPOT_POINTS if context.technique.protocol.focal_spot == "sampled" else 1
+    image.primary = compute_sampled_primary(
+        image.scene, context.technique, context.engine, context.workers, points, subpixels
+    )
+    image.is_area_sampled = subpixels > 1
+    image.primary_behind_grid = None
+
+
+def has_unresolved_edges(kev: Map) -> bool:
+    """Return whether one ray per pixel misses details of a signal.
+
+    Parameters
+    ----------
+    kev : (rows, cols) float32 array, keV
+        Primary signal with one ray per pixel.
+
+    Returns
+    -------
+    bool
+        True if a pixel deviates from the mean of its two neighbours in a row or column by more than 1 % of it. The
+        mean over the area of such a pixel can differ from the signal at its centre by up to a quarter of this
+        deviation or, at a sharp edge, by up to half of the step.
+    """
+    for signal in (kev, kev.T):
+        middle = signal[:, 1:-1]
+        mean = (signal[:, :-2] + signal[:, 2:]) / 2
+        if np.any(np.abs(middle - mean) > _UNRESOLVED * mean):
+            return True
+    return False
 
 
 def add_kernel_scatter(image: LatentImage, context: StageContext) -> None:
@@ -373,6 +427,8 @@ def blur_panel(image: LatentImage, context: StageContext) -> None:
     panel = (context.technique.protocol.pixel_mm, context.technique.detector)
     signal, noise, values = image.expected_signal, image.noisy, image.compute_frequencies(context.workers)
     detector_blur.apply_panel_blur(values, signal.shape, *panel)
+    if image.is_area_sampled:
+        detector_blur.remove_pixel_aperture(values, signal.shape)
     if "noise_free" in context.keep or noise is None:
         image.signal = detector_blur.transform_to_image(values, signal.shape, context.workers)
     if noise is not None:
@@ -405,11 +461,21 @@ def read_out(image: LatentImage, context: StageContext) -> None:
     image.pixels = simulate_readout(values, context.technique, seed, context.workers)
 
 
+def _uses_central_rays(protocol: Protocol) -> bool:
+    """Return whether the primary is computed with one ray from the centre of the focal spot to each pixel centre."""
+    return protocol.focal_spot != "sampled" and protocol.subpixels < 2
+
+
+def _casts_several_rays(protocol: Protocol) -> bool:
+    """Return whether several rays per pixel are requested, or may be necessary."""
+    return protocol.focal_spot == "sampled" or protocol.subpixels != 1
+
+
 # All stages in the order of execution.
 STAGES = (
-    Stage("spectrum", lambda protocol: protocol.focal_spot != "sampled", prepare_spectrum),
-    Stage("attenuation", lambda protocol: protocol.focal_spot != "sampled", attenuate, "paths"),
-    Stage("focal spot", lambda protocol: protocol.focal_spot == "sampled", sample_focal_spot),
+    Stage("spectrum", _uses_central_rays, prepare_spectrum),
+    Stage("attenuation", _uses_central_rays, attenuate, "paths"),
+    Stage("sampled rays", _casts_several_rays, sample_rays, "paths"),
     Stage("scatter", lambda protocol: protocol.scatter == "kernel", add_kernel_scatter, "paths"),
     Stage("scatter", lambda protocol: protocol.scatter == "monte_carlo", add_monte_carlo_scatter, "paths"),
     Stage("grid", lambda protocol: protocol.grid_ratio > 0, apply_grid, "paths"),
@@ -481,9 +547,14 @@ def _drop_unread_maps(image: LatentImage, read_later: set[str | None], keep: fro
 
 
 def compute_sampled_primary(
-    scene: Scene, technique: Technique, engine: str, workers: int, points_per_side: int = _FOCAL_SPOT_POINTS
+    scene: Scene,
+    technique: Technique,
+    engine: str,
+    workers: int,
+    points_per_side: int = _FOCAL_SPOT_POINTS,
+    subpixels: int = 1,
 ) -> Signal:
-    """Compute the primary as the mean over source points of the focal spot.
+    """Compute the primary as the mean over source points of a sampled focal spot and over the pixel area.
 
     Parameters
     ----------
@@ -496,7 +567,10 @@ def compute_sampled_primary(
     workers : int
         Number of threads; it does not change the result.
     points_per_side : int, default 3
-        Number of points along each side of the focal spot, as in `geometry.view.make_focal_spot_views`.
+        Number of points along each side of the focal spot, as in `geometry.view.make_focal_spot_views`; 1 is the
+        centre of the focal spot.
+    subpixels : int, default 1
+        Square root of the number of rays per pixel and source point.
 
     Returns
     -------
@@ -505,9 +579,43 @@ def compute_sampled_primary(
     """
     protocol, shape = technique.protocol, (technique.view.rows, technique.view.cols)
     kev, square = (np.zeros(shape, np.float32) for _ in range(2))
-    for view, share in make_focal_spot_views(protocol, points_per_side):
+    sources = make_focal_spot_views(protocol, points_per_side) if points_per_side > 1 else [(technique.view, 1.0)]
+    if subpixels > 1:
+        return _compute_area_primary(scene, technique, engine, workers, sources, subpixels)
+    for view, share in sources:
         path_mm, _ = trace_sparse(scene, view, engine=engine, texture=protocol.texture != "none", workers=workers)
         one = compute_primary(path_mm, technique, workers, view)
         kev += np.float32(share) * one.kev
         square += np.float32(share) * one.kev * one.photon_kev
     return Signal(kev, np.divide(square, kev, out=np.zeros_like(kev), where=kev > 0))
+
+
+def _compute_area_primary(
+    scene: Scene, technique: Technique, engine: str, workers: int, sources: list[tuple[View, float]], subpixels: int
+) -> Signal:
+    """Compute the primary as the mean over the pixel area by the trapezoidal rule, for weighted source points.
+
+    The points of a pixel are the corners of ``subpixels`` x ``subpixels`` squares. Points on the border of a pixel are
+    shared with its neighbours, so the number of rays per pixel is ``subpixels**2``. Every edge that crosses a pixel
+    separates two of its corners, so the signal of the pixel is between the signals on both sides of the edge.
+    """
+    protocol, view = technique.protocol, technique.view
+    kev, square = (np.zeros((view.rows, view.cols), np.float32) for _ in range(2))
+    steps = [step / subpixels - 0.5 for step in range(subpixels)]
+    for source, share in sources:
+        for down, right in product(steps, steps):
+            # Points on the upper or left border of a pixel are also on the lower or right border of another pixel.
+            shared_rows, shared_cols = down == steps[0], right == steps[0]
+            shifted = shift_pixels(source, down, right, view.rows + shared_rows, view.cols + shared_cols)
+            path_mm, _ = trace_sparse(
+                scene, shifted, engine=engine, texture=protocol.texture != "none", workers=workers
+            )
+            one = compute_bare_primary(path_mm, technique, workers, shifted)
+            for total, values in ((kev, one.kev), (square, one.kev * one.photon_kev)):
+                if shared_rows:
+                    values = (values[:-1] + values[1:]) / 2
+                if shared_cols:
+                    values = (values[:, :-1] + values[:, 1:]) / 2
+                total += np.float32(share / subpixels**2) * values
+    photon_kev = np.divide(square, kev, out=np.zeros_like(kev), where=kev > 0)
+    return apply_field_factors(Signal(kev, photon_kev), technique)

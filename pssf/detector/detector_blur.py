@@ -156,6 +156,24 @@ def apply_panel_blur(
     values *= _panel_transfer(shape, pixel_mm, _select_transfer(detector, curve))
 
 
+def remove_pixel_aperture(values: Frequencies, shape: tuple[int, ...]) -> None:
+    """Divide the Fourier coefficients of an image by the transfer function of the pixel aperture, in place.
+
+    The MTF of a detector includes the pixel aperture, which a signal that is averaged over the pixel area includes as
+    well.
+
+    Parameters
+    ----------
+    values : (padded rows, padded cols / 2 + 1) complex64 array, keV
+        Fourier coefficients from `transform_to_frequency`; divided in place.
+    shape : tuple of int
+        Rows and columns of the image.
+    """
+    fy, fx = _frequency_axes(shape)
+    values /= np.sinc(fy)[:, None]
+    values /= np.sinc(fx)
+
+
 class _Transfer(NamedTuple):
     """Transfer function: the equation with f0 in 1/mm and power, or a table, and the glare."""
 

@@ -161,6 +161,29 @@ def make_focal_spot_views(protocol: Protocol, points_per_side: int = 3) -> list[
     return views
 
 
+def shift_pixels(view: View, down_px: float, right_px: float, rows: int, cols: int) -> View:
+    """Create a view of the same source with a shifted detector and another number of pixels.
+
+    Parameters
+    ----------
+    view : View
+        Source and detector.
+    down_px, right_px : float
+        Shift of the first pixel, in pixels.
+    rows, cols : int
+        New number of rows and columns.
+
+    Returns
+    -------
+    View
+        View with the same source and pixel size.
+    """
+    x, y, z = view.first_pixel_mm
+    x += (right_px + (cols - 1) / 2) * view.pixel_mm
+    z -= (down_px + (rows - 1) / 2) * view.pixel_mm
+    return replace(view, centre_mm=(x, y, z), rows=rows, cols=cols)
+
+
 def project_points(points_mm: Array, view: View) -> Array:
     """Project points onto the detector.
 

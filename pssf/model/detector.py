@@ -41,8 +41,8 @@ class Detector:
         Fraction of the volume of the layer that the scintillator fills. Only the product of density, packing and
         thickness, the mass per area, affects the image. Allowed: 0.01 to 1.
     mtf_f0_per_mm : float
-        Spatial frequency f0 of the presampled MTF 1 / (1 + (f / f0)^power), without the pixel aperture. Allowed: 0.01
-        to 1000 1/mm.
+        Spatial frequency f0 of the presampled MTF 1 / (1 + (f / f0)^power), which includes the pixel aperture. Allowed:
+        0.01 to 1000 1/mm.
     mtf_power : float
         Exponent of the MTF. Allowed: 0.1 to 20.
     ntf_f0_per_mm : float

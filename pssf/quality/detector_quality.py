@@ -66,6 +66,7 @@ def make_bare_technique(technique: Technique, side_px: int) -> Technique:
         rows=side_px,
         cols=side_px,
         focal_spot_mm=0.0,
+        subpixels=1,
         scatter="none",
         heel="none",
         dead_pixels=0.0,

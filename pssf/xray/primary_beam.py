@@ -118,6 +118,28 @@ def compute_primary(
     return _compute_primaries(path_mm, (_compute_beam_behind(path_mm, technique),), technique, workers, view)[0]
 
 
+def compute_bare_primary(path_mm: Mapping[str, Any], technique: Technique, workers: int, view: View) -> Signal:
+    """Compute the primary signal in a view from path lengths, without heel effect and collimator.
+
+    Parameters
+    ----------
+    path_mm : mapping of str to (rows, cols) array
+        Path length per material, in mm.
+    technique : Technique
+        Resolved protocol.
+    workers : int
+        Number of threads; it does not change the result.
+    view : View
+        Source and detector, with any number of pixels.
+
+    Returns
+    -------
+    Signal
+        Mean absorbed energy per pixel, and its variance divided by its mean.
+    """
+    return transmit(path_mm, _compute_beam_behind(path_mm, technique), technique, workers, view)
+
+
 def compute_primary_before_and_behind(
     path_mm: Mapping[str, Any],
     technique: Technique,
@@ -161,12 +183,29 @@ def _compute_primaries(
 ) -> list[Signal]:
     """Compute the signals of beams with the same energies, including heel effect and collimator."""
     signals = _transmit_beams(path_mm, beams, technique, workers, view)
-    for signal in signals:
-        if technique.protocol.heel != "none":
-            signal.kev[:] *= heel_factor(technique)[:, None].astype(np.float32)
-        if is_collimated(technique.protocol):
-            signal.kev[:] *= compute_collimator_transmission(technique)
-    return signals
+    return [apply_field_factors(signal, technique) for signal in signals]
+
+
+def apply_field_factors(signal: Signal, technique: Technique) -> Signal:
+    """Apply the heel effect and the collimator to a signal, in place.
+
+    Parameters
+    ----------
+    signal : Signal
+        Signal without these effects, for the pixels of the protocol.
+    technique : Technique
+        Resolved protocol.
+
+    Returns
+    -------
+    Signal
+        The same signal.
+    """
+    if technique.protocol.heel != "none":
+        signal.kev[:] *= heel_factor(technique)[:, None].astype(np.float32)
+    if is_collimated(technique.protocol):
+        signal.kev[:] *= compute_collimator_transmission(technique)
+    return signal
 
 
 def _transmit_beams(
