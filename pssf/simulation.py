@@ -119,7 +119,8 @@ def simulate(
     Warns
     -----
     KernelNotice
-        If the scatter kernel is used in an axial view or a small field; the message states the scatter error.
+        If the scatter kernel is used in an axial view, a small field or an unusual beam; the message states the
+        scatter error.
     ImageNotice
         If pixels within the object are saturated, the scene or landmarks are outside the image, or a formula resembles
         the name of an alloy.
@@ -182,24 +183,36 @@ def simulate(
 
 
 def _find_kernel_warnings(technique: Technique) -> list[KernelNotice]:
-    """Return a warning if the scatter kernel is used outside its valid range."""
-    protocol = technique.protocol
+    """Return warnings if the scatter kernel is used outside its valid range."""
+    protocol, kernel = technique.protocol, technique.kernel
     if protocol.scatter != "kernel":
         return []
     if protocol.projection == "axial":
         return [KernelNotice(_AXIAL_KERNEL_WARNING)]
-    width_mm, height_mm = (2 * half for half in field_half_size_mm(technique))
-    off = technique.kernel.find_small_field_bias(width_mm, height_mm)
-    if off is None:
-        return []
-    least = " x ".join(f"{side:g}" for side in technique.kernel.full_field_mm)
-    return [
-        KernelNotice(
-            f"scatter = 'kernel' is not fitted to fields below {least} mm (got {width_mm:.0f} x {height_mm:.0f} mm) "
-            f"and gives {off.low:g} to {off.high:g} times the scatter of the Monte Carlo simulation at the joint; "
-            "use scatter = 'monte_carlo', which is valid for every field"
+    notices = []
+    plain = protocol.mono_kev is None and protocol.spectrum is None and not protocol.filters
+    if not plain or not kernel.is_checked_for(protocol.tube_kv, protocol.filtration_mm_al):
+        low_kv, high_kv = kernel.checked_kv
+        least_mm, most_mm = kernel.checked_mm_al
+        notices.append(
+            KernelNotice(
+                f"scatter = 'kernel' is valid for tube spectra of {low_kv:g} to {high_kv:g} kV behind {least_mm:g} to "
+                f"{most_mm:g} mm Al without other filters, and can be wrong by a factor of 2 for this beam; use "
+                "scatter = 'monte_carlo', which is valid for every beam"
+            )
         )
-    ]
+    width_mm, height_mm = (2 * half for half in field_half_size_mm(technique))
+    off = kernel.find_small_field_bias(width_mm, height_mm)
+    if off is not None:
+        least = " x ".join(f"{side:g}" for side in kernel.full_field_mm)
+        notices.append(
+            KernelNotice(
+                f"scatter = 'kernel' is not fitted to fields below {least} mm (got {width_mm:.0f} x {height_mm:.0f} "
+                f"mm) and gives {off.low:g} to {off.high:g} times the scatter of the Monte Carlo simulation at the joint; "
+                "use scatter = 'monte_carlo', which is valid for every field"
+            )
+        )
+    return notices
 
 
 def _require_arguments(knee: Subject, protocol: Protocol, keep: Collection[str], engine: str, workers: int) -> None:

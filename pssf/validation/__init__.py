@@ -9,6 +9,7 @@ Ray casting
     - ``agreement``: difference between the two engines for random knees and random beam directions.
     - ``tessellation``: error of the projected bone outlines by number of triangles.
     - ``gvxr``: path lengths and run time compared with gVirtualXray.
+    - ``ctsimu``: signal behind step wedges compared with the CTSimU test suite.
 Imaging
     - ``stages``: run time of each stage of ``simulate`` in the first run after installation and in later runs.
     - ``chain``: run time, fraction of the total and error of each stage of ``simulate``.
@@ -56,6 +57,7 @@ from ..core.checks import require_choice
 from ..io.atomic_write import make_folder, write_bytes
 from ..io.cohort_records import write_csv, write_json
 from ..simulation import collect_versions
+from .imaging.ctsimu_wedges import compare_with_ctsimu
 from .imaging.focal_spot_error import measure_focal_spot_models
 from .imaging.left_out_tissues import measure_left_out_tissues
 from .imaging.monte_carlo_reference import compare_monte_carlo_with_reference
@@ -90,7 +92,7 @@ DEFAULT_TABLES = (
 # These tables are measured only on request, because they take minutes or need another package.
 OPTIONAL_TABLES = (
     "throughput", "worker_scaling", "left_out", "localisation", "localisation_limits", "coverage", "refutation",
-    "ablation", "backends", "gvxr",
+    "ablation", "backends", "gvxr", "ctsimu",
 )  # fmt: skip
 
 
@@ -184,6 +186,7 @@ def _make_table_jobs(
         "ablation": lambda: _import_study_module("study_ablation").measure_ablations(workers),
         "backends": lambda: _import_study_module("backend_agreement").compare_backends(),
         "gvxr": lambda: compare_with_gvxr(workers),
+        "ctsimu": compare_with_ctsimu,
     }
 
 

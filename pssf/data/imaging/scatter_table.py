@@ -101,6 +101,10 @@ class ScatterKernel(Record, frozen=True):
         Upper limit to which the relative mass is clipped.
     log_primary_range : (float, float)
         Range to which the mean natural logarithm of the primary transmission is clipped.
+    checked_kv : (float, float)
+        Range of the tube voltage in which the kernel was checked, in kV.
+    checked_mm_al : (float, float)
+        Range of the total filtration in which the kernel was checked, in mm aluminium.
     full_field_mm : (float, float)
         Width and height of the smallest field for which the kernel is valid, on the detector, in mm.
     small_fields : tuple of SmallFieldBias
@@ -115,6 +119,8 @@ class ScatterKernel(Record, frozen=True):
     tube_kv: Pair
     most_mass: float
     log_primary_range: Pair
+    checked_kv: Pair
+    checked_mm_al: Pair
     full_field_mm: Pair
     small_fields: tuple[SmallFieldBias, ...]
     sums: tuple[ProjectionKernel, ...]
@@ -133,6 +139,25 @@ class ScatterKernel(Record, frozen=True):
             Kernel of the projection, or the first kernel (AP) if the projection has no fit.
         """
         return next((one for one in self.sums if one.projection == projection), self.sums[0])
+
+    def is_checked_for(self, tube_kv: float, filtration_mm_al: float) -> bool:
+        """Return whether the kernel was checked for a tube spectrum behind aluminium.
+
+        Parameters
+        ----------
+        tube_kv : float
+            Tube voltage, in kV.
+        filtration_mm_al : float
+            Total filtration, in mm aluminium.
+
+        Returns
+        -------
+        bool
+            True if both values are in the range of the check.
+        """
+        low, high = self.checked_kv
+        least, most = self.checked_mm_al
+        return low <= tube_kv <= high and least <= filtration_mm_al <= most
 
     def find_small_field_bias(self, width_mm: float, height_mm: float) -> SmallFieldBias | None:
         """Find the bias of the kernel in a field that is smaller than the fitted fields.

@@ -1,0 +1,104 @@
+"""Comparison with the CTSimU test suite for radiographic simulators (BAM): step wedges and scintillators."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ...core.checks import Array
+from ...data.imaging.ctsimu_table import CtsimuTable, WedgeReference, load_ctsimu
+from ...model.detector import Detector, load_detectors
+from ...model.protocol import Protocol, load_protocol
+from ...xray.materials import attenuation_per_mm, parse_compound
+from ...xray.resolved_technique import resolve_technique
+from ...xray.spectrum import compute_beam
+
+Row = dict[str, Any]
+# Formula and density in g/cm3 of each scintillator of the suite.
+_SCINTILLATORS = {"csi": ("CsI", 4.51), "gos": ("Gd2O2S", 7.34)}
+_STEPS = 9
+
+
+def compare_with_ctsimu() -> list[Row]:
+    """Compare the primary signal behind step wedges with the two Monte Carlo codes of the CTSimU suite.
+
+    Returns
+    -------
+    list of dict
+        One row per wedge, beam and detector. ``steps_within`` counts the steps, including the free beam, whose signal
+        is within one standard deviation of the grey values of at least one of the codes. Deviations are relative to the
+        mean of the codes, for the step with the largest deviation, in percent. ``without_escape`` marks values for a
+        scintillator that neither fluorescence nor scattered photons leave.
+    """
+    table = load_ctsimu()
+    return [_compare_wedge(wedge, table) for wedge in table.wedge]
+
+
+def compute_wedge_signals(wedge: WedgeReference, table: CtsimuTable, *, escape: bool = True) -> Array:
+    """Compute the primary signal behind the steps of a wedge and in the free beam.
+
+    Parameters
+    ----------
+    wedge : WedgeReference
+        Wedge, beam and detector.
+    table : CtsimuTable
+        Table with the path lengths of the steps and the X-ray tube.
+    escape : bool, default True
+        Whether fluorescence and scattered photons may leave the scintillator.
+
+    Returns
+    -------
+    (10,) float64 array
+        Signals from the thickest step to the free beam, relative to the free beam.
+    """
+    known = table.material[wedge.material]
+    material = parse_compound(f"{wedge.material}@{known.density_g_per_cm3}")
+    path_mm = np.append(known.thinnest_mm + known.step_mm * np.arange(_STEPS - 1, -1, -1), 0.0)
+    detector = _make_detector(wedge.detector)
+    protocol = replace(
+        _make_beam_protocol(wedge.beam, table), detector=detector if escape else detector.without_escape()
+    )
+    beam = compute_beam(resolve_technique(protocol), [material])
+    weights = beam.photons_per_mm2 * beam.signal_kev
+    passed = np.exp(-np.outer(path_mm, attenuation_per_mm(material, beam.energies_kev)))
+    return np.asarray(passed @ weights / weights.sum())
+
+
+def _make_detector(name: str) -> Detector:
+    """Make the detector of a sub-test from its name: ideal, or a scintillator with its thickness in micrometres."""
+    known = load_detectors()
+    if name == "ideal":
+        return known["ideal"]
+    scintillator, micrometres = name.split("_")
+    formula, density = _SCINTILLATORS[scintillator]
+    return replace(
+        known["csi"], name=name, formula=formula, density_g_per_cm3=density, packing=1.0, escape="simulated",
+        thickness_mm=float(micrometres) / 1000,
+    )  # fmt: skip
+
+
+def _make_beam_protocol(beam: str, table: CtsimuTable) -> Protocol:
+    """Make a protocol with the beam of a sub-test, such as "50 keV" or "120 kV"."""
+    number, unit = beam.split()
+    plain = load_protocol("reference")
+    if unit == "keV":
+        return replace(plain, mono_kev=float(number))
+    return replace(
+        plain, tube_kv=float(number), filtration_mm_al=table.window_mm_al, anode_angle_deg=table.anode_angle_deg
+    )
+
+
+def _compare_wedge(wedge: WedgeReference, table: CtsimuTable) -> Row:
+    """Make the table row of one wedge."""
+    codes = np.array([wedge.rosi, wedge.mcray])
+    spread = np.array([wedge.rosi_sd, wedge.mcray_sd]) / codes[:, -1:]
+    codes = codes / codes[:, -1:]
+    mean = codes.mean(axis=0)
+    row: Row = {"detector": wedge.detector.replace("_", " "), "wedge": wedge.material, "beam": wedge.beam}
+    for label, escape in (("", True), ("_without_escape", False)):
+        signal = compute_wedge_signals(wedge, table, escape=escape)
+        deviation = signal / mean - 1
+        row[f"steps_within{label}"] = int((np.abs(signal - codes) <= spread).any(axis=0).sum())
+        row[f"deviation_percent{label}"] = round(100 * float(deviation[np.abs(deviation).argmax()]), 1)
+    row["codes_differ_percent"] = round(100 * float(np.abs(codes[0] / codes[1] - 1).max()), 1)
+    return row
