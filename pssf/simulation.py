@@ -45,6 +45,8 @@ from .raycast import (
     Audit,
     Paths,
     compute_face_silhouette,
+    find_overlap_faults,
+    resolve_overlaps,
     trace,
     trace_sparse,
 )
@@ -122,8 +124,8 @@ def simulate(
         If the scatter kernel is used in an axial view, a small field or an unusual beam; the message states the
         scatter error.
     ImageNotice
-        If pixels within the object are saturated, the scene or landmarks are outside the image, or a formula resembles
-        the name of an alloy.
+        If pixels within the object are saturated, the scene or landmarks are outside the image, bodies of a scene
+        overlap, or a formula resembles the name of an alloy.
     MeshNotice
         If a mesh had to be repaired.
 
@@ -149,7 +151,7 @@ def simulate(
     # The radiograph stores the final beam angle instead of the positioning rule that determines it.
     protocol = subject.aim_beam(protocol) if isinstance(subject, BuiltKnee) else protocol
     technique = resolve_technique(protocol)
-    scene = subject if isinstance(subject, Scene) else subject.scene
+    scene = resolve_overlaps(subject) if isinstance(subject, Scene) else subject.scene
     if not isinstance(subject, Scene):
         require_detector_clearance(scene, protocol)
     clock.lap("anatomy")
@@ -158,6 +160,8 @@ def simulate(
     image, audit = _trace_scene(scene, chain, paths)
     clock.lap("rays")
     faults = [*find_material_faults(scene, technique), *(outside := find_field_faults(image.path_mm, technique))]
+    if isinstance(subject, Scene):
+        faults += _check_overlaps(scene, protocol)
     with ThreadPoolExecutor(1) as aside:
         known = aside.submit(_describe_subject, subject, protocol, keep)
         seconds = run_stages(image, chain)
@@ -180,6 +184,20 @@ def simulate(
     for notice in [*_find_kernel_warnings(technique), *map(ImageNotice, faults)]:
         warnings.warn(notice, stacklevel=4)
     return made
+
+
+def _check_overlaps(scene: Scene, protocol: Protocol) -> list[str]:
+    """Return a warning about each overlap of a scene with the rule "warn"; raise InputError with the rule "refuse"."""
+    if scene.overlap not in ("warn", "refuse"):
+        return []
+    faults = find_overlap_faults(scene, textureless=protocol.texture == "none")
+    if faults and scene.overlap == "refuse":
+        raise InputError(f"surfaces of a scene with overlap = 'refuse' must not overlap, got: {'; '.join(faults)}")
+    return [
+        f"{fault}, where the paths in both are counted; Scene(..., overlap='first') gives an overlap to the body that "
+        "is listed first, and overlap='sum' turns this warning off"
+        for fault in faults
+    ]
 
 
 def _find_kernel_warnings(technique: Technique) -> list[KernelNotice]:
@@ -208,8 +226,8 @@ def _find_kernel_warnings(technique: Technique) -> list[KernelNotice]:
         notices.append(
             KernelNotice(
                 f"scatter = 'kernel' is not fitted to fields below {least} mm (got {width_mm:.0f} x {height_mm:.0f} "
-                f"mm) and gives {off.low:g} to {off.high:g} times the scatter of the Monte Carlo simulation at the joint; "
-                "use scatter = 'monte_carlo', which is valid for every field"
+                f"mm) and gives {off.low:g} to {off.high:g} times the scatter of the Monte Carlo simulation at the "
+                "joint; use scatter = 'monte_carlo', which is valid for every field"
             )
         )
     return notices

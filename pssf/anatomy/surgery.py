@@ -327,7 +327,7 @@ def replace_surfaces(scene: Scene, remaining: dict[int, Manifold], *new_surfaces
         elif not remaining[number].is_empty():
             whole = Mesh(surface.solid.points, surface.solid.faces)
             surfaces.append(replace(surface, mesh=restore_uncut_faces(extract_mesh(remaining[number]), whole)))
-    return Scene([*surfaces, *new_surfaces], scene.ambient, scene.size_mm)
+    return Scene([*surfaces, *new_surfaces], scene.ambient, scene.size_mm, scene.overlap)
 
 
 def apply_surgery_to_parts(solids: dict[str, Mesh], scene: Scene, steps: Sequence[SurgicalStep]) -> dict[str, Mesh]:

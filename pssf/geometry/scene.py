@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from ..core.checks import Array, InputError, require_in_range
+from ..core.checks import Array, InputError, require_choice, require_in_range
 from ..core.keyword_arguments import check_keywords
 from .density import Density
 from .mesh import Mesh, MeshField, is_mesh
@@ -31,6 +31,10 @@ SIZE_RANGE_MM = (5.0, 3000.0)
 # Smallest and largest allowed extent of any scene, in mm. Within this range, squared coordinates do not overflow, and
 # float64 coordinates resolve 1 um in a scene with an extent of 1 km.
 _SIZE_LIMITS_MM = (1e-6, 1e12)
+
+
+# Rules for bodies that overlap.
+OVERLAP_RULES = ("warn", "refuse", "first", "sum")
 
 
 class MeshNotice(UserWarning):
@@ -152,6 +156,11 @@ class Scene:
     size_mm : tuple of float, default (5.0, 3000.0)
         Smallest and largest plausible extent of the scene, in mm. An extent outside this range suggests a wrong unit,
         so `check` reports an error and `trace` raises InputError. ``(0, inf)`` allows any extent.
+    overlap : {"warn", "refuse", "first", "sum"}, default "warn"
+        Rule for bodies that overlap, and for other surfaces whose outside material is not the material around them.
+        ``"sum"`` counts the path in every body. ``"warn"`` does the same, and `simulate` gives a warning. With
+        ``"refuse"``, `simulate` raises InputError. With ``"first"``, a point that several bodies with the same outside
+        material contain belongs to the body that is listed first.
 
     Raises
     ------
@@ -162,15 +171,22 @@ class Scene:
     surfaces: tuple[Surface, ...]
     ambient: str = "air"
     size_mm: tuple[float, float] = SIZE_RANGE_MM
+    overlap: str = "warn"
 
     def __init__(
-        self, surfaces: Iterable[Surface], ambient: str = "air", size_mm: tuple[float, float] = SIZE_RANGE_MM
+        self,
+        surfaces: Iterable[Surface],
+        ambient: str = "air",
+        size_mm: tuple[float, float] = SIZE_RANGE_MM,
+        overlap: str = "warn",
     ) -> None:
         if not isinstance(surfaces, Iterable):
             raise InputError(f"scene: surfaces must be a list of Surface, got {reprlib.repr(surfaces)}")
         object.__setattr__(self, "surfaces", tuple(surfaces))
         object.__setattr__(self, "ambient", ambient)
         object.__setattr__(self, "size_mm", _require_size_range(size_mm))
+        require_choice("overlap", overlap, OVERLAP_RULES)
+        object.__setattr__(self, "overlap", overlap)
         for surface in self.surfaces:
             if not isinstance(surface, Surface):
                 raise InputError(f"scene: every surface must be a Surface, got {reprlib.repr(surface)}")
@@ -193,7 +209,8 @@ class Scene:
         dict
             JSON-ready dict with the ambient gas and a description of every surface.
         """
-        return {"ambient": self.ambient, "surfaces": [surface.table() for surface in self.surfaces]}
+        rule = {} if self.overlap == "warn" else {"overlap": self.overlap}
+        return {"ambient": self.ambient, **rule, "surfaces": [surface.table() for surface in self.surfaces]}
 
     @cached_property
     def bounds_mm(self) -> Array:

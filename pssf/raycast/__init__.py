@@ -9,6 +9,7 @@ Modules:
 - `path_lengths`: path lengths and ray counts, as returned by `trace`.
 - `scene_check`: the function `check` and its report.
 - `surface_overlaps`: detection of surfaces with a wrong outside material, and of meshes that overlap themselves.
+- `overlap_priority`: cuts of overlapping bodies by the rule of a scene.
 - `density_mismatch`: detection of surfaces whose outside density is not the density of the surrounding material.
 - `negative_paths`: detection of negative path lengths and their causes.
 - `detector_clearance`: distance between the leg and the detector.
@@ -61,8 +62,9 @@ from .engines.projected_surface import (
 )
 from .engines.sparse_map import SparseMap
 from .negative_paths import require_nonnegative_paths
+from .overlap_priority import resolve_overlaps
 from .path_lengths import Audit, Paths, sum_audits
-from .scene_check import Report, check
+from .scene_check import Report, check, find_overlap_faults
 
 if TYPE_CHECKING:
     import trimesh
@@ -75,7 +77,9 @@ __all__ = [
     "compute_face_silhouette",
     "compute_scene_silhouette",
     "compute_silhouette",
+    "find_overlap_faults",
     "require_nonnegative_paths",
+    "resolve_overlaps",
     "trace",
     "trace_sparse",
 ]
@@ -163,7 +167,7 @@ def trace(
     >>> paths.audit.unrepaired
     0
     """
-    scene, view = resolve_scene(scene), resolve_view(protocol)
+    scene, view = resolve_overlaps(resolve_scene(scene)), resolve_view(protocol)
     require_choice("precision", precision, PRECISIONS)
     require_choice("texture", texture, (True, False))
     path_mm: Sums = {m: np.zeros((view.rows, view.cols), precision) for m in _select_materials(scene, materials)}
@@ -207,7 +211,7 @@ def trace_sparse(
     MeshNotice
         If a mesh had to be repaired.
     """
-    view = resolve_view(protocol)
+    scene, view = resolve_overlaps(scene), resolve_view(protocol)
     path_mm = {material: SparseMap((view.rows, view.cols)) for material in _select_materials(scene, None)}
     return path_mm, _fill_path_maps(scene, view, path_mm, engine, not texture or _has_no_texture(protocol), workers)
 

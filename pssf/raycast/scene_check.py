@@ -21,6 +21,7 @@ from .density_mismatch import find_density_faults
 from .engines.projected_surface import project_surface
 from .engines.triangle_clipping import MIN_DEPTH_FRACTION
 from .negative_paths import explain_negative_path, find_shortest_paths
+from .overlap_priority import resolve_overlaps
 from .path_lengths import OVERLAP_TOLERANCE_MM
 from .surface_overlaps import find_contradictions, find_self_overlaps
 
@@ -107,7 +108,7 @@ def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> R
     >>> print(report)
     no faults
     """
-    scene = resolve_scene(scene)
+    scene = resolve_overlaps(resolve_scene(scene))
     view = None if protocol is None else resolve_view(protocol)
     faults = list(scene.faults)
     smooth = isinstance(protocol, Protocol) and protocol.texture == "none"
@@ -125,6 +126,40 @@ def check(scene: Scene | HasScene, protocol: Protocol | View | None = None) -> R
         if view is not None:
             faults += [fault for surface in scene.surfaces for fault in _find_parts_out_of_view(surface, view)]
     return Report(tuple(faults))
+
+
+def find_overlap_faults(scene: Scene, *, textureless: bool) -> list[str]:
+    """Find surfaces whose outside material is wrong, such as those of overlapping bodies, along 128 x 128 rays.
+
+    Parameters
+    ----------
+    scene : Scene
+        Closed surfaces that `trace` accepts.
+    textureless : bool
+        If True, materials that differ only in density are not reported.
+
+    Returns
+    -------
+    list of str
+        One text per pair of surfaces, in the order of the longest affected ray segment.
+    """
+    if len(scene.surfaces) < 2:
+        return []
+    sample = _make_sample_view(scene.bounds_mm)
+    wrong = [one for one in find_contradictions(scene, sample) if not (textureless and one.is_density_only)]
+    pairs: dict[frozenset[str], float] = {}
+    for one in wrong:
+        pair = frozenset((one.surface, one.found_surface or scene.ambient))
+        pairs[pair] = max(pairs.get(pair, 0.0), one.longest_mm)
+    mutual = {(one.surface, one.found_surface) for one in wrong}
+    texts = []
+    for pair, longest_mm in sorted(pairs.items(), key=lambda item: -item[1]):
+        first, *second = sorted(pair)
+        names = f"{first} and {second[0]}" if second else first
+        overlaps = bool(second) and (first, second[0]) in mutual and (second[0], first) in mutual
+        what = "overlap" if overlaps else "have an outside material or a position that is wrong"
+        texts.append(f"surfaces {names} {what}, over up to {longest_mm:.3g} mm of a ray")
+    return texts
 
 
 def _make_warning_fault(surface: str, what: str, count: int, first: tuple[object, ...], hint: str) -> Fault:

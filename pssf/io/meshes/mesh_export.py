@@ -190,7 +190,12 @@ def simplify_scene(scene: Scene, tolerance_mm: float) -> Scene:
         require_usable_solid(surface.solid)
     if tolerance_mm == 0:
         return scene
-    return Scene([_simplify_surface(surface, tolerance_mm) for surface in scene.surfaces], scene.ambient, scene.size_mm)
+    return Scene(
+        [_simplify_surface(surface, tolerance_mm) for surface in scene.surfaces],
+        scene.ambient,
+        scene.size_mm,
+        scene.overlap,
+    )
 
 
 def unique_names(scene: Scene) -> list[str]:

@@ -26,13 +26,15 @@ class _SceneFile(Record, frozen=True):
 
     surface: tuple[_SurfaceEntry, ...]
     ambient: str = "air"
+    overlap: str = "warn"
 
 
 def read_scene(path: str | Path) -> Scene:
     """Read a scene from a TOML file that lists meshes, or from a GLB or 3MF that `export_meshes` wrote.
 
     The TOML file has one table ``[[surface]]`` per mesh, with the entries file, inside, outside and, optionally, name.
-    The optional entry ambient names the material around all surfaces; the default is air.
+    The optional entry ambient names the material around all surfaces; the default is air. The optional entry overlap is
+    the rule for overlapping bodies, as in `Scene`.
 
     Parameters
     ----------
@@ -83,7 +85,8 @@ def read_scene(path: str | Path) -> Scene:
         raise InputError(
             f"file {path} must have tables [[surface]] with the entries file, inside, outside and name, got {error}"
         ) from None
-    return Scene([_read_surface(one, path.parent) for one in described.surface], described.ambient)
+    surfaces = [_read_surface(one, path.parent) for one in described.surface]
+    return Scene(surfaces, described.ambient, overlap=described.overlap)
 
 
 def _read_surface(entry: _SurfaceEntry, folder: Path) -> Surface:
