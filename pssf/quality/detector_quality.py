@@ -8,16 +8,16 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array
 from ..detector.detector_blur import compute_transfer
+from ..detector.panel_readout import linearise_pixels
 from ..detector.quantum_noise import GAUSSIAN_MIN_QUANTA
 from ..stages import LatentImage, StageContext, run_stages
 from ..xray.materials import attenuation_per_mm, parse_compound
 from ..xray.resolved_technique import Technique
 from ..xray.spectrum import compute_beam
+from .image_quality import average_over_rings, compute_edge_mtf, measure_flat_nnps, ring_frequencies_per_mm
 
 # Angle between the edge of the lead plate and the pixel columns, in degrees (IEC 62220-1: 1.5 to 3).
 _EDGE_DEG = 2.4
-# Number of bins of the edge spread function per pixel.
-_FINER = 8
 # Number of rows and columns of the edge image.
 _EDGE_PX = 512
 # Side length of a region of interest for the noise power spectrum, in pixels.
@@ -124,7 +124,7 @@ def measure_mtf(technique: Technique) -> FrequencyCurve:
     path = -np.log(np.clip(0.5 - across, 1e-6, 1.0)) / per_mm
     pixels = _require_pixels(_expose_paths({"Pb@11.35": path.astype(np.float32)}, quiet))
     middle = slice(_EDGE_PX // 8, -_EDGE_PX // 8)
-    frequency, measured = _compute_edge_mtf(pixels[middle, middle].astype(np.float64), across[middle, middle], pixel_mm)
+    frequency, measured = compute_edge_mtf(pixels[middle, middle].astype(np.float64), across[middle, middle], pixel_mm)
     measured /= np.sinc(frequency * pixel_mm)
     return FrequencyCurve(frequency, measured, model_mtf(technique, frequency))
 
@@ -135,22 +135,6 @@ def _monoenergetic_mas(technique: Technique) -> float:
         noise="none", mono_kev=60.0, filters=(), spectrum=None, mas=1.0
     )
     return 30000.0 / max(float(_require_pixels(_expose_paths({}, trial)).mean()) - technique.detector.offset_dn, 1.0)
-
-
-def _compute_edge_mtf(pixels: Array, distance_px: Array, pixel_mm: float) -> tuple[Array, Array]:
-    """Compute frequencies and MTF from pixel values and pixel distances from the edge."""
-    reach = 96
-    place = np.floor((distance_px + reach) * _FINER).astype(int)
-    inside = (place >= 0) & (place < 2 * reach * _FINER)
-    count = np.bincount(place[inside], minlength=2 * reach * _FINER)
-    spread = np.bincount(place[inside], pixels[inside], 2 * reach * _FINER) / np.maximum(count, 1)
-    line = np.diff(spread)
-    transform = np.abs(np.fft.rfft(line))
-    frequency = np.fft.rfftfreq(len(line), pixel_mm / _FINER)
-    # Differentiation and binning each act as an aperture of one bin, so both transfer functions are divided out.
-    transform /= np.sinc(frequency * pixel_mm / _FINER) ** 2
-    wanted = frequency < 0.5 / pixel_mm
-    return np.asarray(frequency[wanted], np.float64), np.asarray(transform[wanted] / transform[0], np.float64)
 
 
 def simulate_flat_fields(technique: Technique, count: int = _FIELDS) -> Array:
@@ -171,7 +155,7 @@ def simulate_flat_fields(technique: Technique, count: int = _FIELDS) -> Array:
     side = _ROI_PX * _ROIS
     flat = make_bare_technique(technique, side)
     images = [_require_pixels(_expose_paths({}, flat, seed=number)) for number in range(count)]
-    return np.array(images, np.float64) - technique.detector.offset_dn
+    return linearise_pixels(np.array(images), technique.detector).astype(np.float64)
 
 
 def measure_nnps(technique: Technique) -> FrequencyCurve:
@@ -188,18 +172,10 @@ def measure_nnps(technique: Technique) -> FrequencyCurve:
         Normalised noise power spectrum, in mm2.
     """
     fields, pixel_mm = simulate_flat_fields(technique), technique.protocol.pixel_mm
-    # The mean flat field is subtracted, because the inverse-square fall-off of the beam is not noise. The factor
-    # corrects for the noise in the mean flat field.
-    residual = (fields - fields.mean(axis=0)) * np.sqrt(len(fields) / (len(fields) - 1))
-    regions = residual.reshape(len(fields), _ROIS, _ROI_PX, _ROIS, _ROI_PX).swapaxes(2, 3)
-    # The Hann window prevents leakage of power from low to high frequencies, where the power is thirty times smaller.
-    window = np.outer(np.hanning(_ROI_PX), np.hanning(_ROI_PX))
-    power = (np.abs(np.fft.fft2(regions * window)) ** 2).mean(axis=(0, 1, 2)) * pixel_mm**2 / (window**2).sum()
-    f = np.fft.fftfreq(_ROI_PX, pixel_mm)
-    radius = np.hypot(*np.meshgrid(f, f))
-    frequency, measured = _average_over_rings(radius, power / fields.mean() ** 2, pixel_mm)
+    frequency, measured = measure_flat_nnps(fields, pixel_mm)
+    radius = ring_frequencies_per_mm(pixel_mm)
     meant = model_nnps(technique, radius, float(fields.mean()))
-    return FrequencyCurve(frequency, measured, _average_over_rings(radius, meant, pixel_mm)[1])
+    return FrequencyCurve(frequency, measured, average_over_rings(radius, meant, pixel_mm)[1])
 
 
 def model_nnps(technique: Technique, per_mm: Array, mean_dn: float) -> Array:
@@ -327,15 +303,3 @@ def _require_pixels(image: LatentImage) -> NDArray[np.uint16]:
     """Return the pixels of an image after all imaging stages."""
     assert image.pixels is not None
     return image.pixels
-
-
-def _average_over_rings(radius: Array, power: Array, pixel_mm: float) -> tuple[Array, Array]:
-    """Average a power spectrum over frequency rings up to the Nyquist frequency, excluding the axes."""
-    step = radius[0, 1] * 2
-    used = (np.arange(len(radius))[:, None] > 0) & (np.arange(len(radius)) > 0) & (radius < 0.5 / pixel_mm)
-    ring = np.rint(radius[used] / step).astype(int)
-    count = np.bincount(ring)
-    kept = count > 0
-    return (np.bincount(ring, radius[used]) / np.maximum(count, 1))[kept], (
-        np.bincount(ring, power[used]) / np.maximum(count, 1)
-    )[kept]
