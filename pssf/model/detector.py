@@ -162,7 +162,13 @@ class Detector:
         return self.density_g_per_cm3 * self.packing * self.thickness_mm * 100.0
 
     def without_escape(self) -> "Detector":
-        """Make a copy in which each photon that interacts deposits its entire energy."""
+        """Make a copy in which each photon that interacts deposits its entire energy.
+
+        Returns
+        -------
+        Detector
+            Copy with ``escape = "none"``.
+        """
         return replace(self, escape="none")
 
 

@@ -160,12 +160,34 @@ def compute_interacting_fraction(detector: Detector, energies_kev: Array) -> Arr
 
 
 def response_name(detector: Detector) -> str:
-    """Return the name of the stored response of a scintillator, without digest and suffix."""
+    """Return the name of the stored response of a scintillator.
+
+    Parameters
+    ----------
+    detector : Detector
+        Detector with the material and mass per area of its scintillator.
+
+    Returns
+    -------
+    str
+        Name of the file, without digest and suffix.
+    """
     return f"scintillator-{detector.formula}-{detector.mg_per_cm2:.6g}"
 
 
 def response_origin(detector: Detector) -> CacheKey:
-    """Return the code and input on which the response of a scintillator depends."""
+    """Return the code and input on which the response of a scintillator depends.
+
+    Parameters
+    ----------
+    detector : Detector
+        Detector with the material and mass per area of its scintillator.
+
+    Returns
+    -------
+    CacheKey
+        Key of the stored response.
+    """
     facts = repr((detector.formula, detector.mg_per_cm2)).encode()
     return CacheKey(sources=_SOURCES, libraries=("xraylib", "numba"), facts=facts)
 
