@@ -141,16 +141,15 @@ def test_bone_is_brighter_than_muscle_and_muscle_brighter_than_air():
 
 
 @pytest.mark.parametrize("processing", display_rendering.DISPLAY_PROCESSING)
-def test_the_dark_offset_of_the_detector_is_subtracted(monkeypatch, processing):
+def test_the_dark_offset_of_the_detector_is_subtracted(processing):
     known = load_detectors()
-    brighter = {**known, "gos": msgspec.structs.replace(known["gos"], offset_dn=known["csi"].offset_dn + 500)}
-    monkeypatch.setattr(display_rendering, "load_detectors", lambda: brighter)
+    brighter = dataclasses.replace(known["gos"], name="brighter", offset_dn=known["csi"].offset_dn + 500)
     pixels = render_limb().astype(np.uint16)
     displayed = pssf.render_for_display(pixels, detector="csi", processing=processing, pixel_mm=0.2)
     assert_array_equal(
-        pssf.render_for_display(pixels + 500, detector="gos", processing=processing, pixel_mm=0.2), displayed
+        pssf.render_for_display(pixels + 500, detector=brighter, processing=processing, pixel_mm=0.2), displayed
     )
-    protocol = dataclasses.replace(pssf.load_protocol("reference"), detector="gos", pixel_mm=0.2)
+    protocol = dataclasses.replace(pssf.load_protocol("reference"), detector=brighter, pixel_mm=0.2)
     radiograph = pssf.Radiograph(pixels=pixels + 500, protocol=protocol, seed=0)
     assert_array_equal(pssf.render_for_display(radiograph, processing=processing), displayed)
 

@@ -98,10 +98,12 @@ def test_a_new_seed_repeats_only_the_noise_stages(cache):
 OTHER = {
     "name": "other", "tube_kv": 82.0, "mas": 3.0, "filtration_mm_al": 4.0, "anode_angle_deg": 15.0,
     "focal_spot_mm": 1.4, "sdd_mm": 1200.0, "sod_mm": 940.0, "beam_angle_deg": 4.0, "rows": 80, "cols": 88,
-    "pixel_mm": 3.0, "mono_kev": 50.0, "heel": "anode_distal", "projection": "PA", "flexion_deg": 10.0,
+    "pixel_mm": 3.0, "mono_kev": 50.0, "filters": (("Cu@8.96", 0.1),), "spectrum": ((30.0, 1e5), (60.0, 2e5)),
+    "heel": "anode_distal", "projection": "PA", "flexion_deg": 10.0,
     "tibia_forward_deg": 5.0, "rotation_deg": 5.0, "tilt_deg": 3.0, "beam_along": "medial_plateau",
     "centre_x_mm": 9.0, "centre_z_mm": -9.0, "field_width_mm": 150.0, "field_height_mm": 160.0, "marker": "R",
-    "texture": "none", "focal_spot": "sampled", "scatter": "none", "scatter_photons": 4000,
+    "texture": "none", "focal_spot_shape": "gaussian", "focal_spot": "sampled", "subpixels": 2,
+    "scatter": "none", "scatter_photons": 4000,
     "grid_ratio": 10.0, "grid_lines_per_cm": 60.0, "detector": "gos", "detector_blur": "none",
     "dead_pixels": 0.01, "noise": "none",
 }  # fmt: skip

@@ -234,7 +234,7 @@ def test_noise_does_not_depend_on_the_number_of_workers():
     assert (one == four).all()
 
 
-@pytest.mark.parametrize("name", sorted(load_detectors()))
+@pytest.mark.parametrize("name", ["csi", "gos"])
 def test_a_sine_wave_passes_the_panel_as_its_mtf_predicts(name):
     n, pixel, panel_ = 512, 0.15, load_detectors()[name]
     x = np.arange(n) - n / 2

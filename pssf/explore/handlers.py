@@ -242,7 +242,8 @@ def handle_file(cache: StageCache, request: ResolvedRequest) -> Answer:
     if not kind:
         raise InputError(f"kind must be a file format, got {kind!r}")
     built = cache.build_knee(knee, protocol)
-    done = simulate(built, protocol, rng=request.seed, engine=ENGINE, paths=cache.find_paths(knee, protocol))
+    paths = cache.find_paths(knee, protocol) if protocol.subpixels == 1 else None
+    done = simulate(built, protocol, rng=request.seed, engine=ENGINE, paths=paths)
     return {"name": f"{stem}.{kind}"}, encode_radiograph(done, kind)
 
 
