@@ -151,9 +151,7 @@ def simulate(
     # The radiograph stores the final beam angle instead of the positioning rule that determines it.
     protocol = subject.aim_beam(protocol) if isinstance(subject, BuiltKnee) else protocol
     technique = resolve_technique(protocol)
-    scene = resolve_overlaps(subject) if isinstance(subject, Scene) else subject.scene
-    if not isinstance(subject, Scene):
-        require_detector_clearance(scene, protocol)
+    scene = _resolve_scene(subject, protocol)
     clock.lap("anatomy")
     require_materials(scene, technique)  # Materials are checked before the slow ray casting.
     chain = StageContext(technique=technique, engine=engine, seed=seed, keep=frozenset(keep), workers=workers)
@@ -184,6 +182,14 @@ def simulate(
     for notice in [*_find_kernel_warnings(technique), *map(ImageNotice, faults)]:
         warnings.warn(notice, stacklevel=4)
     return made
+
+
+def _resolve_scene(subject: BuiltKnee | BuiltPair | Scene, protocol: Protocol) -> Scene:
+    """Apply the overlap rule of a scene, or check that the legs of a subject are in front of the detector."""
+    if isinstance(subject, Scene):
+        return resolve_overlaps(subject)
+    require_detector_clearance(subject.scene, protocol)
+    return subject.scene
 
 
 def _check_overlaps(scene: Scene, protocol: Protocol) -> list[str]:

@@ -211,6 +211,13 @@ def _make_row(case: Case, exposure: Exposure, radiograph: Radiograph, relative_p
             "repeat_index": exposure.repeat_index,
             "source_knee": exposure.source_knee,
         }
+    # A manifest cell contains one number or text; `cohort.json` contains the entire detector.
+    detector, spectrum = protocol["detector"], protocol["spectrum"]
+    protocol |= {
+        "filters": json.dumps(protocol["filters"]),
+        "spectrum": None if spectrum is None else json.dumps(spectrum),
+        "detector": detector["name"] if isinstance(detector, dict) else detector,
+    }
     # Posture columns get the prefix "posture_", because the knee also has fields for flexion and rotation.
     posture = {f"posture_{name}": protocol.pop(name) for name in asdict(exposure.protocol.posture)}
     # Columns without a prefix contain the joint spaces in the radiograph. The prefix "nominal" marks the joint spaces

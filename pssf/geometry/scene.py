@@ -6,7 +6,7 @@ import re
 import reprlib
 import warnings
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -171,7 +171,7 @@ class Scene:
     surfaces: tuple[Surface, ...]
     ambient: str = "air"
     size_mm: tuple[float, float] = SIZE_RANGE_MM
-    overlap: str = "warn"
+    overlap: str = field(default="warn", repr=False)
 
     def __init__(
         self,

@@ -429,6 +429,13 @@ def protocol_to_dict(protocol: Protocol) -> dict[str, Any]:
     Returns
     -------
     dict of str to object
-        Values keyed by field name.
+        Values keyed by field name. Tuples become lists, and a detector becomes a mapping of its fields.
     """
-    return asdict(protocol)
+    return {name: _convert_to_lists(value) for name, value in asdict(protocol).items()}
+
+
+def _convert_to_lists(value: Any) -> Any:
+    """Convert the tuples of a field value to lists, as they are read from JSON."""
+    if isinstance(value, dict):
+        return {name: _convert_to_lists(one) for name, one in value.items()}
+    return [_convert_to_lists(one) for one in value] if isinstance(value, tuple) else value

@@ -223,10 +223,10 @@ def measure_image_dqe(
 
     Parameters
     ----------
-    mtf : (frequency_per_mm, mtf) tuple of (n,) arrays
+    mtf : (frequency_per_mm, mtf) tuple of (n,) arrays, 1/mm and dimensionless
         Result of `measure_edge_mtf`.
-    nnps : (frequency_per_mm, nnps_mm2) tuple of (m,) arrays
-        Result of `measure_flat_nnps`, in mm2.
+    nnps : (frequency_per_mm, nnps_mm2) tuple of (m,) arrays, 1/mm and mm2
+        Result of `measure_flat_nnps`.
     kerma_ugy : float
         Air kerma at the detector in the flat fields, in uGy.
     photons_per_mm2_ugy : float, default 30174

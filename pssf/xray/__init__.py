@@ -7,6 +7,7 @@ alloys               warnings about formulas that are probably alloy names
 collimator           irradiated field and penumbra
 resolved_technique   protocol with the detector, scatter kernel and tissues from the tables
 primary_beam         primary signal by the Beer-Lambert law
+sampled_primary      primary signal averaged over the focal spot and the pixel area
 photon_interactions  cross sections and angular distributions for the Monte Carlo simulations
 photon_sampling      sampling of scattering angles, energies and directions
 scintillator_response  energy that a photon deposits in a scintillator

@@ -12,9 +12,9 @@ from ...geometry.scene import Scene
 from ...model.knee import Knee
 from ...model.protocol import load_protocol
 from ...raycast import trace
-from ...stages import compute_sampled_primary
 from ...xray.primary_beam import compute_primary
 from ...xray.resolved_technique import Technique, resolve_technique
+from ...xray.sampled_primary import compute_sampled_primary
 from ..raycasting.raycast_engines import Row
 
 # Number of source points per side of the focal spot in the reference computation.

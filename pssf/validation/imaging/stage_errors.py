@@ -11,8 +11,8 @@ from ...model.protocol import Protocol, load_protocol
 from ...quality.detector_quality import measure_mtf, measure_photon_transfer
 from ...raycast import trace
 from ...simulation import simulate
-from ...stages import compute_sampled_primary
 from ...xray.resolved_technique import Technique, resolve_technique
+from ...xray.sampled_primary import compute_sampled_primary
 from ...xray.spectrum_quadrature import RELATIVE_TOLERANCE
 from ..raycasting.raycast_engines import Row
 from .focal_spot_error import compute_blurred_primary

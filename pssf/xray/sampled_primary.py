@@ -1,0 +1,115 @@
+"""Primary signal averaged over several points of the focal spot and of the pixel area."""
+
+from itertools import product
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..geometry.scene import Scene
+from ..geometry.view import View, make_focal_spot_views, shift_pixels
+from ..raycast import trace_sparse
+from .primary_beam import Signal, apply_field_factors, compute_bare_primary, compute_primary
+from .resolved_technique import Technique
+
+# Number of source points along each side of the focal spot, for a sampled focal spot.
+FOCAL_SPOT_POINTS = 3
+# Deviation of a pixel from the mean of its neighbours, relative to this mean, above which one ray is not enough.
+_UNRESOLVED = 0.01
+
+
+def has_unresolved_edges(kev: NDArray[np.float32]) -> bool:
+    """Return whether one ray per pixel misses details of a signal.
+
+    Parameters
+    ----------
+    kev : (rows, cols) float32 array, keV
+        Primary signal with one ray per pixel.
+
+    Returns
+    -------
+    bool
+        True if a pixel deviates from the mean of its two neighbours in a row or column by more than 1 % of it. The
+        mean over the area of such a pixel can differ from the signal at its centre by up to a quarter of this
+        deviation or, at a sharp edge, by up to half of the step.
+    """
+    for signal in (kev, kev.T):
+        middle = signal[:, 1:-1]
+        mean = (signal[:, :-2] + signal[:, 2:]) / 2
+        if np.any(np.abs(middle - mean) > _UNRESOLVED * mean):
+            return True
+    return False
+
+
+def compute_sampled_primary(
+    scene: Scene,
+    technique: Technique,
+    engine: str,
+    workers: int,
+    points_per_side: int = FOCAL_SPOT_POINTS,
+    subpixels: int = 1,
+) -> Signal:
+    """Compute the primary as the mean over source points of a sampled focal spot and over the pixel area.
+
+    Parameters
+    ----------
+    scene : Scene
+        Closed surfaces with their materials.
+    technique : Technique
+        Resolved protocol.
+    engine : {"embree", "scanline"}
+        Ray casting engine.
+    workers : int
+        Number of threads; it does not change the result.
+    points_per_side : int, default 3
+        Number of points along each side of the focal spot, as in `geometry.view.make_focal_spot_views`; 1 is the
+        centre of the focal spot.
+    subpixels : int, default 1
+        Square root of the number of rays per pixel and source point.
+
+    Returns
+    -------
+    Signal
+        Mean absorbed energy per pixel, and its variance divided by its mean.
+    """
+    protocol, shape = technique.protocol, (technique.view.rows, technique.view.cols)
+    kev, square = (np.zeros(shape, np.float32) for _ in range(2))
+    sources = make_focal_spot_views(protocol, points_per_side) if points_per_side > 1 else [(technique.view, 1.0)]
+    if subpixels > 1:
+        return _compute_area_primary(scene, technique, engine, workers, sources, subpixels)
+    for view, share in sources:
+        path_mm, _ = trace_sparse(scene, view, engine=engine, texture=protocol.texture != "none", workers=workers)
+        one = compute_primary(path_mm, technique, workers, view)
+        kev += np.float32(share) * one.kev
+        square += np.float32(share) * one.kev * one.photon_kev
+    return Signal(kev, np.divide(square, kev, out=np.zeros_like(kev), where=kev > 0))
+
+
+def _compute_area_primary(
+    scene: Scene, technique: Technique, engine: str, workers: int, sources: list[tuple[View, float]], subpixels: int
+) -> Signal:
+    """Compute the primary as the mean over the pixel area by the trapezoidal rule, for weighted source points.
+
+    The points of a pixel are the corners of ``subpixels`` x ``subpixels`` squares. Points on the border of a pixel are
+    shared with its neighbours, so the number of rays per pixel is ``subpixels**2``. Every edge that crosses a pixel
+    separates two of its corners, so the signal of the pixel is between the signals on both sides of the edge.
+    """
+    protocol, view = technique.protocol, technique.view
+    kev, square = (np.zeros((view.rows, view.cols), np.float32) for _ in range(2))
+    steps = [step / subpixels - 0.5 for step in range(subpixels)]
+    for source, share in sources:
+        for down, right in product(steps, steps):
+            # Points on the upper or left border of a pixel are also on the lower or right border of another pixel.
+            shared_rows, shared_cols = down == steps[0], right == steps[0]
+            shifted = shift_pixels(source, down, right, view.rows + shared_rows, view.cols + shared_cols)
+            path_mm, _ = trace_sparse(
+                scene, shifted, engine=engine, texture=protocol.texture != "none", workers=workers
+            )
+            one = compute_bare_primary(path_mm, technique, workers, shifted)
+            for total, values in ((kev, one.kev), (square, one.kev * one.photon_kev)):
+                if shared_rows:
+                    values = (values[:-1] + values[1:]) / 2
+                if shared_cols:
+                    values = (values[:, :-1] + values[:, 1:]) / 2
+                total += np.float32(share / subpixels**2) * values
+    photon_kev = np.divide(square, kev, out=np.zeros_like(kev), where=kev > 0)
+    return apply_field_factors(Signal(kev, photon_kev), technique)
