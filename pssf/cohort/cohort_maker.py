@@ -16,7 +16,7 @@ from ..io import atomic_write, cohort_records
 from ..io.mask_files import save_masks
 from ..io.radiograph_files import save
 from ..model.knee import knee_to_dict
-from ..model.protocol import protocol_to_dict
+from ..model.protocol import Protocol, protocol_to_dict
 from ..model.radiograph import Radiograph, Truth
 from ..raycast import ENGINES, trace
 from ..raycast.detector_clearance import move_clear_of_detector
@@ -190,7 +190,7 @@ def _make_row(case: Case, exposure: Exposure, radiograph: Radiograph, relative_p
     """Build the manifest row of one radiograph."""
     truth = radiograph.truth
     assert truth is not None
-    knee, protocol = knee_to_dict(case.knee), protocol_to_dict(radiograph.protocol)
+    knee, protocol = knee_to_dict(case.knee), _flatten_protocol(radiograph.protocol)
     row: Row = {
         "radiograph": exposure.name,
         "subject": case.subject,
@@ -211,13 +211,6 @@ def _make_row(case: Case, exposure: Exposure, radiograph: Radiograph, relative_p
             "repeat_index": exposure.repeat_index,
             "source_knee": exposure.source_knee,
         }
-    # A manifest cell contains one number or text; `cohort.json` contains the entire detector.
-    detector, spectrum = protocol["detector"], protocol["spectrum"]
-    protocol |= {
-        "filters": json.dumps(protocol["filters"]),
-        "spectrum": None if spectrum is None else json.dumps(spectrum),
-        "detector": detector["name"] if isinstance(detector, dict) else detector,
-    }
     # Posture columns get the prefix "posture_", because the knee also has fields for flexion and rotation.
     posture = {f"posture_{name}": protocol.pop(name) for name in asdict(exposure.protocol.posture)}
     # Columns without a prefix contain the joint spaces in the radiograph. The prefix "nominal" marks the joint spaces
@@ -229,6 +222,17 @@ def _make_row(case: Case, exposure: Exposure, radiograph: Radiograph, relative_p
     row |= {**knee, **{name: json.dumps(knee[name]) for name in ("shape", "osteophytes", "cysts")}} | protocol | posture
     row |= {f"truth_{name}": value for name, value in _make_truth_columns(truth).items()}
     return row | {f"audit_{name}": count for name, count in radiograph.audit.items()}
+
+
+def _flatten_protocol(protocol: Protocol) -> Row:
+    """Convert a protocol to manifest columns, with one number or text each; `cohort.json` has the entire detector."""
+    columns = protocol_to_dict(protocol)
+    detector, spectrum = columns["detector"], columns["spectrum"]
+    return columns | {
+        "filters": json.dumps(columns["filters"]),
+        "spectrum": None if spectrum is None else json.dumps(spectrum),
+        "detector": detector["name"] if isinstance(detector, dict) else detector,
+    }
 
 
 def _make_truth_columns(truth: Truth) -> Row:
