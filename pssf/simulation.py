@@ -214,8 +214,7 @@ def _find_kernel_warnings(technique: Technique) -> list[KernelNotice]:
     if protocol.projection == "axial":
         return [KernelNotice(_AXIAL_KERNEL_WARNING)]
     notices = []
-    plain = protocol.mono_kev is None and protocol.spectrum is None and not protocol.filters
-    if not plain or not kernel.is_checked_for(protocol.tube_kv, protocol.filtration_mm_al):
+    if not protocol.has_plain_beam or not kernel.is_checked_for(protocol.tube_kv, protocol.filtration_mm_al):
         low_kv, high_kv = kernel.checked_kv
         least_mm, most_mm = kernel.checked_mm_al
         notices.append(

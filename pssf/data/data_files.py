@@ -68,7 +68,7 @@ def read_protocol_fields(name_or_path: str | PathLike[str]) -> tuple[dict[str, A
     first = _resolve_protocol_path(name_or_path)
     fields: dict[str, Any] = {}
     for path, own in _follow_bases(first, "protocol", _resolve_protocol_path):
-        fields = _read_named_files(own, path) | fields
+        fields = _resolve_named_files(own, path) | fields
     return fields, f"protocol {first.name}"
 
 
@@ -148,15 +148,12 @@ def _follow_bases(
         path = next_source
 
 
-def _read_named_files(fields: dict[str, Any], path: Path) -> dict[str, Any]:
-    """Replace the file names of detector and spectrum in the fields of a protocol file by the content of the files."""
-    changed: dict[str, Any] = {}
-    detector = fields.get("detector")
-    if isinstance(detector, str) and detector.endswith(".toml"):
-        changed["detector"] = read_detector_fields(path.parent / detector)[0]
-    if isinstance(fields.get("spectrum"), str):
-        changed["spectrum"] = read_spectrum(path.parent / fields["spectrum"])
-    return fields | changed
+def _resolve_named_files(fields: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Make the file names of detector and spectrum in the fields of a protocol file relative to its folder."""
+    named = {name: fields[name] for name in ("detector", "spectrum") if isinstance(fields.get(name), str)}
+    return fields | {
+        name: str(path.parent / file) for name, file in named.items() if name == "spectrum" or file.endswith(".toml")
+    }
 
 
 def read_spectrum(file: Path) -> list[tuple[float, float]]:

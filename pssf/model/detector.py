@@ -1,6 +1,5 @@
 """Define the detector of a radiograph: scintillator, blur, noise and readout."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import pairwise
@@ -296,30 +295,7 @@ def load_detector(name_or_path: str | PathLike[str]) -> Detector:
     'Gd2O2S'
     """
     table, what = read_detector_fields(name_or_path)
-    return detector_from_dict(table, what)
-
-
-def detector_from_dict(table: dict[str, Any], source_name: str) -> Detector:
-    """Construct a detector from a mapping of its fields.
-
-    Parameters
-    ----------
-    table : dict of str to object
-        Values keyed by field name.
-    source_name : str
-        Name of the file or object, shown at the start of error messages.
-
-    Returns
-    -------
-    Detector
-        Constructed and checked detector.
-
-    Raises
-    ------
-    InputError
-        If a field name is unknown or missing, or a value is not allowed.
-    """
-    return build_from_table(Detector, table, source_name)
+    return build_from_table(Detector, table, what)
 
 
 def resolve_detector(detector: str | Detector) -> Detector:
@@ -342,6 +318,5 @@ def resolve_detector(detector: str | Detector) -> Detector:
     """
     if isinstance(detector, Detector):
         return detector
-    known: Sequence[str] = tuple(load_detectors())
-    require_choice("detector", detector, known)
+    require_choice("detector", detector, tuple(load_detectors()))
     return load_detectors()[detector]

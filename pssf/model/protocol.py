@@ -9,7 +9,7 @@ from ..core.checks import InputError, build_from_table, require_integer, require
 from ..core.keyword_arguments import check_keywords, renamed_attribute, update_field_names
 from ..data.data_files import read_protocol_fields, read_spectrum
 from ..data.knees.field_definitions import check_fields
-from .detector import Detector, check_layers, check_pairs, detector_from_dict, load_detector
+from .detector import Detector, check_layers, check_pairs, load_detector
 
 # Rotation of the leg for each projection: axis (0 is x, 2 is z) and angle in degrees, before the knee is mirrored in y.
 # ML and LM turn the lateral side of a right leg to the detector, and axial turns the foot to the detector.
@@ -305,6 +305,11 @@ class Protocol:
         lit_mm = min(whole_mm, 1.1 * self.field_height_mm + 30.0) if self.field_height_mm > 0 else whole_mm
         return lit_mm / 2 / self.sdd_mm
 
+    @property
+    def has_plain_beam(self) -> bool:
+        """Whether the beam is the computed tube spectrum behind aluminium alone."""
+        return self.mono_kev is None and self.spectrum is None and not self.filters
+
     def resample(self, matrix: int) -> "Protocol":
         """Change the number of pixels and the pixel pitch without changing the detector size.
 
@@ -345,7 +350,7 @@ class Protocol:
 def _convert_detector(detector: Any) -> Any:
     """Convert the path of a detector file, or the fields of a detector, to a Detector; leave other values unchanged."""
     if isinstance(detector, dict):
-        return detector_from_dict(detector, "detector")
+        return build_from_table(Detector, detector, "detector")
     if isinstance(detector, PathLike) or (isinstance(detector, str) and detector.endswith(".toml")):
         return load_detector(detector)
     if not isinstance(detector, str | Detector):

@@ -173,9 +173,8 @@ def measure_nnps(technique: Technique) -> FrequencyCurve:
     """
     fields, pixel_mm = simulate_flat_fields(technique), technique.protocol.pixel_mm
     frequency, measured = measure_flat_nnps(fields, pixel_mm)
-    radius = ring_frequencies_per_mm(pixel_mm)
-    meant = model_nnps(technique, radius, float(fields.mean()))
-    return FrequencyCurve(frequency, measured, average_over_rings(radius, meant, pixel_mm)[1])
+    meant = model_nnps(technique, ring_frequencies_per_mm(pixel_mm), float(fields.mean()))
+    return FrequencyCurve(frequency, measured, average_over_rings(meant, pixel_mm)[1])
 
 
 def model_nnps(technique: Technique, per_mm: Array, mean_dn: float) -> Array:

@@ -18,8 +18,6 @@ _REACH_PX = 96
 _LEAST_REACH_PX = 16
 # Range of the angle between the edge and the pixel rows or columns, in degrees. IEC 62220-1 requires 1.5 to 3.
 _EDGE_DEG = (0.5, 20.0)
-# Smallest contrast of an edge, relative to the standard deviation of the residuals.
-_LEAST_CONTRAST = 5.0
 # Side length of a region of interest for the noise power spectrum, in pixels.
 _ROI_PX = 128
 # Photons per mm2 and uGy of an RQA5 beam (IEC 62220-1-1, table 2).
@@ -184,7 +182,7 @@ def measure_flat_nnps(flats: Sequence[Array] | Array, pixel_mm: float) -> tuple[
     mean = float(fields.mean())
     if not mean > 0:
         raise InputError(f"mean of the flats must be above 0, got {mean:g}")
-    return _average_over_rings(compute_power_spectrum(fields, pixel_mm) / mean**2, pixel_mm)
+    return average_over_rings(compute_power_spectrum(fields, pixel_mm) / mean**2, pixel_mm)
 
 
 def compute_power_spectrum(fields: Array, pixel_mm: float) -> Array:
@@ -277,15 +275,13 @@ def measure_image_exposure_index(values: Array, signal_per_ugy: float) -> float:
     return 100.0 * float(np.median(numbers)) / signal_per_ugy
 
 
-def average_over_rings(radius_per_mm: Array, power: Array, pixel_mm: float) -> tuple[Array, Array]:
+def average_over_rings(power: Array, pixel_mm: float) -> tuple[Array, Array]:
     """Average a power spectrum over frequency rings up to the Nyquist frequency, excluding the axes.
 
     Parameters
     ----------
-    radius_per_mm : (side, side) float64 array, 1/mm
-        Spatial frequency of each value, as ordered by the Fourier transform.
-    power : (side, side) float64 array, any unit
-        Power spectrum.
+    power : (128, 128) float64 array, any unit
+        Power spectrum, as from `compute_power_spectrum`.
     pixel_mm : float
         Pixel pitch, in mm.
 
@@ -296,13 +292,13 @@ def average_over_rings(radius_per_mm: Array, power: Array, pixel_mm: float) -> t
     power : (n,) float64 array
         Mean power of each ring, in the unit of `power`.
     """
-    step = radius_per_mm[0, 1] * 2
-    off_axes = (np.arange(len(radius_per_mm))[:, None] > 0) & (np.arange(len(radius_per_mm)) > 0)
-    used = off_axes & (radius_per_mm < 0.5 / pixel_mm)
-    ring = np.rint(radius_per_mm[used] / step).astype(int)
+    radius = ring_frequencies_per_mm(pixel_mm)
+    step = radius[0, 1] * 2
+    used = (np.arange(len(radius))[:, None] > 0) & (np.arange(len(radius)) > 0) & (radius < 0.5 / pixel_mm)
+    ring = np.rint(radius[used] / step).astype(int)
     count = np.bincount(ring)
     kept = count > 0
-    return (np.bincount(ring, radius_per_mm[used]) / np.maximum(count, 1))[kept], (
+    return (np.bincount(ring, radius[used]) / np.maximum(count, 1))[kept], (
         np.bincount(ring, power[used]) / np.maximum(count, 1)
     )[kept]
 
@@ -322,11 +318,6 @@ def ring_frequencies_per_mm(pixel_mm: float) -> Array:
     """
     f = np.fft.fftfreq(_ROI_PX, pixel_mm)
     return np.asarray(np.hypot(*np.meshgrid(f, f)))
-
-
-def _average_over_rings(power: Array, pixel_mm: float) -> tuple[Array, Array]:
-    """Average the power spectrum (128, 128) of regions over frequency rings."""
-    return average_over_rings(ring_frequencies_per_mm(pixel_mm), power, pixel_mm)
 
 
 def _require_image(image: Array) -> Array:

@@ -116,16 +116,11 @@ def _worst_ratio(curve: FrequencyCurve, up_to_per_mm: float) -> float:
     return float(ratio[np.abs(ratio - 1).argmax()])
 
 
-def _is_plain_beam(protocol: Protocol) -> bool:
-    """Return whether the beam is that of the tube behind aluminium alone, as in the reference values."""
-    return protocol.mono_kev is None and protocol.spectrum is None and not protocol.filters
-
-
 def _make_row(name: str, value: float, protocol: Protocol, known_values: ReferenceTables) -> Row:
     """Make the table row of one quantity, with the reference value if the protocol has one."""
     row: Row = {"quantity": name, "value": f"{value:.5g}", "reference": "", "low": "", "high": "", "source": ""}
     beam = known_values.beam.get(f"{protocol.tube_kv:g}_{protocol.filtration_mm_al:g}")
-    if name in _BEAM_QUANTITIES and beam and protocol.anode_angle_deg == 12.0 and _is_plain_beam(protocol):
+    if name in _BEAM_QUANTITIES and beam and protocol.anode_angle_deg == 12.0 and protocol.has_plain_beam:
         return row | {"reference": beam[_BEAM_QUANTITIES.index(name)], "source": "SpekPy 2.5.4"}
     known = known_values.quality.get(name)
     if known is None or ("csi" in known.source and protocol.detector != "csi"):

@@ -11,8 +11,9 @@ from ..geometry.scene import Scene, Surface, require_traceable
 
 # Volume, relative to that of a solid, below which a remainder is due to rounding.
 _ROUNDING = 1e-9
-# Scene with cut bodies of each scene, so that later calls return the same object.
-_CUT_SCENES: "WeakKeyDictionary[Scene, Scene]" = WeakKeyDictionary()
+# Scene with cut bodies of each scene, so that later calls return the same object. The value is None if nothing is cut,
+# because a value that refers to its own key would keep the scene in memory.
+_CUT_SCENES: "WeakKeyDictionary[Scene, Scene | None]" = WeakKeyDictionary()
 
 
 def resolve_overlaps(scene: Scene) -> Scene:
@@ -39,11 +40,14 @@ def resolve_overlaps(scene: Scene) -> Scene:
         return scene
     if scene not in _CUT_SCENES:
         _CUT_SCENES[scene] = _cut_bodies(scene)
-    return _CUT_SCENES[scene]
+    return _CUT_SCENES[scene] or scene
 
 
-def _cut_bodies(scene: Scene) -> Scene:
-    """Subtract each body from the later bodies with the same outside material, and from everything inside them."""
+def _cut_bodies(scene: Scene) -> Scene | None:
+    """Subtract each body from the later bodies with the same outside material, and from everything inside them.
+
+    Return None if no bodies overlap.
+    """
     require_traceable(scene)
     surfaces = scene.surfaces
     solids = [build_solid(one.solid.points, one.solid.faces, one.name) for one in surfaces]
@@ -58,7 +62,7 @@ def _cut_bodies(scene: Scene) -> Scene:
                     solids[number] -= solids[first]
                     cut.add(number)
     if not cut:
-        return scene
+        return None
     left = [
         replace(surface, mesh=extract_mesh(solids[number])) if number in cut else surface
         for number, surface in enumerate(surfaces)

@@ -88,16 +88,6 @@ class Technique:
             )
         return replace(self, protocol=protocol)
 
-    def without_escape(self) -> "Technique":
-        """Make a copy in which each photon that interacts in the scintillator deposits its entire energy.
-
-        Returns
-        -------
-        Technique
-            Copy for comparison with calculations that neglect the escape of fluorescence and scattered photons.
-        """
-        return replace(self, detector=self.detector.without_escape())
-
 
 def resolve_technique(protocol: Protocol) -> Technique:
     """Look up the detector, scatter kernel and tissues of a protocol.

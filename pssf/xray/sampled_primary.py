@@ -72,10 +72,10 @@ def compute_sampled_primary(
         Mean absorbed energy per pixel, and its variance divided by its mean.
     """
     protocol, shape = technique.protocol, (technique.view.rows, technique.view.cols)
-    kev, square = (np.zeros(shape, np.float32) for _ in range(2))
     sources = make_focal_spot_views(protocol, points_per_side) if points_per_side > 1 else [(technique.view, 1.0)]
     if subpixels > 1:
         return _compute_area_primary(scene, technique, engine, workers, sources, subpixels)
+    kev, square = (np.zeros(shape, np.float32) for _ in range(2))
     for view, share in sources:
         path_mm, _ = trace_sparse(scene, view, engine=engine, texture=protocol.texture != "none", workers=workers)
         one = compute_primary(path_mm, technique, workers, view)

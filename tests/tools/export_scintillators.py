@@ -4,8 +4,6 @@ Run ``python -m tools.export_scintillators`` in the folder ``tests`` after a cha
 `xray.scintillator_response` or of the modules that it uses.
 """
 
-from dataclasses import replace
-
 from pssf.data.array_cache import save_to_package
 from pssf.model.detector import load_detectors
 from pssf.xray.scintillator_response import response_name, response_origin, simulate_response_arrays
@@ -14,8 +12,7 @@ from pssf.xray.scintillator_response import response_name, response_origin, simu
 def main() -> None:
     """Simulate the responses of all detectors, and replace their files in the package."""
     for detector in (load_detectors()[name] for name in ("csi", "gos")):
-        origin = replace(response_origin(detector), libraries=())
-        save_to_package(response_name(detector), origin, simulate_response_arrays(detector))
+        save_to_package(response_name(detector), response_origin(detector), simulate_response_arrays(detector))
 
 
 if __name__ == "__main__":
