@@ -103,7 +103,7 @@ def test_emitted_photons_fill_the_solid_angle_of_the_window():
         window=np.array([-half_mm[0], half_mm[0], -half_mm[1], half_mm[1]]), field=np.zeros(5),
         energies=np.array([60.0]), energy_cdf=np.ones(1), weights=np.ones(1),
         material=voxels.index, origin=voxels.origin_mm, size=voxels.size_mm,
-        scintillator_depth=np.ones(2), deposited_fraction=np.ones(2),
+        scintillator_depth=np.ones(2), cover_depth=np.zeros(2), deposited_fraction=np.ones(2),
     )  # fmt: skip
     weights = emit_photons(photons, seed_generator(3), setup)
     # A source emits 1e6 photons per steradian if the fluence at 1 m is one photon per mm2.

@@ -161,27 +161,34 @@ def make_focal_spot_views(protocol: Protocol, points_per_side: int = 3) -> list[
     return views
 
 
-def shift_pixels(view: View, down_px: float, right_px: float, rows: int, cols: int) -> View:
-    """Create a view of the same source with a shifted detector and another number of pixels.
+def make_corner_view(view: View, first_row: int, rows: int, subpixels: int) -> View:
+    """Create a view whose pixel centres are the corners of squares that divide each pixel of some rows.
 
     Parameters
     ----------
     view : View
         Source and detector.
-    down_px, right_px : float
-        Shift of the first pixel, in pixels.
-    rows, cols : int
-        New number of rows and columns.
+    first_row : int
+        First row.
+    rows : int
+        Number of rows.
+    subpixels : int
+        Number of squares along each side of a pixel.
 
     Returns
     -------
     View
-        View with the same source and pixel size.
+        View of the same source with ``rows * subpixels + 1`` rows and ``cols * subpixels + 1`` columns.
     """
-    x, y, z = view.first_pixel_mm
-    x += (right_px + (cols - 1) / 2) * view.pixel_mm
-    z -= (down_px + (rows - 1) / 2) * view.pixel_mm
-    return replace(view, centre_mm=(x, y, z), rows=rows, cols=cols)
+    x, y, z = view.centre_mm
+    z += ((view.rows - rows) / 2 - first_row) * view.pixel_mm
+    return View(
+        source_mm=view.source_mm,
+        centre_mm=(x, y, z),
+        rows=rows * subpixels + 1,
+        cols=view.cols * subpixels + 1,
+        pixel_mm=view.pixel_mm / subpixels,
+    )
 
 
 def project_points(points_mm: Array, view: View) -> Array:

@@ -21,7 +21,7 @@ from ..xray.collimator import field_half_size_mm
 from ..xray.materials import attenuation_per_mm
 from ..xray.photon_interactions import CUT_OFF_KEV, make_interaction_tables, table_energies_kev
 from ..xray.resolved_technique import Technique
-from ..xray.scintillator_response import compute_interacting_fraction, load_scintillator_response
+from ..xray.scintillator_response import compute_optical_depths, load_scintillator_response
 from ..xray.spectrum import compute_beam
 from .photon_transport import TransportSetup, follow_photons
 from .voxel_grid import Voxels, voxelise_scene
@@ -222,16 +222,17 @@ def _make_transport_setup(voxels: Voxels, technique: Technique, cell_mm: float) 
 
 
 def _scintillator_tables(detector: Detector, max_kev: float) -> dict[str, Array]:
-    """Tabulate the optical depth and the deposited fraction of a scintillator, keyed by field of `TransportSetup`.
+    """Tabulate optical depths and the deposited fraction of a detector, keyed by field of `TransportSetup`.
 
     The deposited fraction is that of normal incidence.
     """
     energies = table_energies_kev(max_kev)
-    absorbed = compute_interacting_fraction(detector, energies)
+    scintillator, cover = compute_optical_depths(detector, energies)
     response = load_scintillator_response(detector)
     return {
         # The optical depth of an opaque layer is limited to 28, which changes the absorption by only 1e-12.
-        "scintillator_depth": -np.log1p(-np.minimum(absorbed, 1 - 1e-12)),
+        "scintillator_depth": np.minimum(scintillator, 28.0),
+        "cover_depth": cover,
         "deposited_fraction": np.interp(energies, response.energies_kev, response.mean),
     }
 

@@ -58,6 +58,8 @@ class TransportSetup(NamedTuple):
         Size of a voxel, in mm.
     scintillator_depth : (energies,) float64 array
         Optical depth of the scintillator at normal incidence, at the energies of the interaction tables, dimensionless.
+    cover_depth : (energies,) float64 array
+        Optical depth of the detector cover at normal incidence, at the same energies, dimensionless.
     deposited_fraction : (energies,) float64 array
         Mean deposited energy of a photon that interacts in the scintillator, divided by the photon energy.
     """
@@ -73,6 +75,7 @@ class TransportSetup(NamedTuple):
     origin: Array
     size: Array
     scintillator_depth: Array
+    cover_depth: Array
     deposited_fraction: Array
 
 
@@ -245,6 +248,7 @@ def _tally_photon(
             place = (photon[6] - CUT_OFF_KEV) / tables.step_kev
             depth = interpolate(setup.scintillator_depth, place) / photon[4]
             share = (1.0 - math.exp(-depth)) * interpolate(setup.deposited_fraction, place)
+            share *= math.exp(-interpolate(setup.cover_depth, place) / photon[4])
             absorbed = weight * photon[6] * share
             counts[scattered, int((z1 - z) / cell), int((x - x0) / cell)] += absorbed
             energy[ON_FIELD] += weight * photon[6]

@@ -20,6 +20,7 @@ from ..raycast.engines.scanline import find_crossings
 from ..xray.collimator import compute_transmission_factors, is_collimated
 from ..xray.resolved_technique import Technique
 from ..xray.spectrum import compute_beam, heel_factor
+from .detector_correction import compute_detector_factor, convert_to_fitted_detector
 
 # Side length of a coarse grid cell, in mm.
 _CELL_MM = 9.6
@@ -85,11 +86,15 @@ def compute_kernel_scatter_kev(
     most = float(opened.max())
     if not (opened * mass).any():  # Without an irradiated object, there is no scatter.
         return np.zeros(primary_kev.shape, np.float32)
+    passed = convert_to_fitted_detector(passed, technique)
     state = KernelInput(
         open_beam=opened / most, mass_g_per_cm2=mass, transmission=passed, cell_mm=step * technique.protocol.pixel_mm
     )
     gaps = interpolate_air_gaps_mm(air_gaps_mm, mass.shape, step, technique.view)
     share = _compute_padded_scatter_fraction(state, gaps, technique)
+    weight = opened * mass**2
+    log_transmission = float((weight * np.log(passed)).sum() / weight.sum())
+    most *= compute_detector_factor(log_transmission, central_air_gap_mm(air_gaps_mm), technique)
     return upsample_linear(np.maximum(share, 0) * most, step, primary_kev.shape)
 
 

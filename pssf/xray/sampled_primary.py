@@ -1,18 +1,18 @@
 """Primary signal averaged over several points of the focal spot and of the pixel area."""
 
-from itertools import product
-
 import numpy as np
 from numpy.typing import NDArray
 
 from ..geometry.scene import Scene
-from ..geometry.view import View, make_focal_spot_views, shift_pixels
+from ..geometry.view import View, make_corner_view, make_focal_spot_views
 from ..raycast import trace_sparse
 from .primary_beam import Signal, apply_field_factors, compute_bare_primary, compute_primary
 from .resolved_technique import Technique
 
 # Number of source points along each side of the focal spot, for a sampled focal spot.
 FOCAL_SPOT_POINTS = 3
+# Largest number of rays that are traced at once, which limits the memory for their path lengths.
+_MOST_RAYS = 4_500_000
 # Deviation of a pixel from the mean of its neighbours, relative to this mean, above which one ray is not enough.
 _UNRESOLVED = 0.01
 
@@ -95,21 +95,27 @@ def _compute_area_primary(
     """
     protocol, view = technique.protocol, technique.view
     kev, square = (np.zeros((view.rows, view.cols), np.float32) for _ in range(2))
-    steps = [step / subpixels - 0.5 for step in range(subpixels)]
+    band_rows = max(1, _MOST_RAYS // (view.cols * subpixels**2))
     for source, share in sources:
-        for down, right in product(steps, steps):
-            # Points on the upper or left border of a pixel are also on the lower or right border of another pixel.
-            shared_rows, shared_cols = down == steps[0], right == steps[0]
-            shifted = shift_pixels(source, down, right, view.rows + shared_rows, view.cols + shared_cols)
+        for first in range(0, view.rows, band_rows):
+            band = slice(first, min(first + band_rows, view.rows))
+            corners = make_corner_view(source, band.start, band.stop - band.start, subpixels)
             path_mm, _ = trace_sparse(
-                scene, shifted, engine=engine, texture=protocol.texture != "none", workers=workers
+                scene, corners, engine=engine, texture=protocol.texture != "none", workers=workers
             )
-            one = compute_bare_primary(path_mm, technique, workers, shifted)
-            for total, values in ((kev, one.kev), (square, one.kev * one.photon_kev)):
-                if shared_rows:
-                    values = (values[:-1] + values[1:]) / 2
-                if shared_cols:
-                    values = (values[:, :-1] + values[:, 1:]) / 2
-                total += np.float32(share / subpixels**2) * values
+            one = compute_bare_primary(path_mm, technique, workers, corners)
+            kev[band] += np.float32(share) * _sum_over_pixels(one.kev, subpixels)
+            square[band] += np.float32(share) * _sum_over_pixels(one.kev * one.photon_kev, subpixels)
     photon_kev = np.divide(square, kev, out=np.zeros_like(kev), where=kev > 0)
     return apply_field_factors(Signal(kev, photon_kev), technique)
+
+
+def _sum_over_pixels(corners: NDArray[np.float32], subpixels: int) -> NDArray[np.float32]:
+    """Sum values at the corners of squares, (rows x subpixels + 1, cols x subpixels + 1), over pixels (rows, cols)."""
+    weights = np.ones(subpixels + 1, np.float32)
+    weights[[0, -1]] = 0.5
+    for _ in range(2):  # rows first, then columns
+        stop = len(corners) - subpixels
+        total = sum(weight * corners[k : stop + k : subpixels] for k, weight in enumerate(weights))
+        corners = np.asarray(total).T
+    return corners

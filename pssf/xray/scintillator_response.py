@@ -112,8 +112,8 @@ def load_scintillator_response(detector: Detector) -> ScintillatorResponse:
     return ScintillatorResponse(**arrays)
 
 
-def compute_deposited_energy(detector: Detector, energies_kev: Array) -> tuple[Array, Array]:
-    """Compute the energy that a photon deposits in a scintillator at normal incidence.
+def compute_deposited_energy(detector: Detector, energies_kev: Array, secant: float = 1.0) -> tuple[Array, Array]:
+    """Compute the energy that a photon deposits in a scintillator.
 
     Parameters
     ----------
@@ -121,6 +121,9 @@ def compute_deposited_energy(detector: Detector, energies_kev: Array) -> tuple[A
         Detector with the material and mass per area of its scintillator.
     energies_kev : (bins,) array, keV
         Photon energies.
+    secant : float, default 1
+        Path length in the scintillator divided by its thickness, at least 1. The deposited energy of a photon that
+        interacts is always that of normal incidence; at secants up to 1.25, this is at most 1.2 % too high (computed).
 
     Returns
     -------
@@ -130,13 +133,34 @@ def compute_deposited_energy(detector: Detector, energies_kev: Array) -> tuple[A
         Mean squared deposited energy per incident photon, in keV2.
     """
     response = load_scintillator_response(detector)
-    interacting = compute_interacting_fraction(detector, energies_kev)
+    interacting = compute_interacting_fraction(detector, energies_kev, secant)
     mean, square = (np.interp(energies_kev, response.energies_kev, each) for each in (response.mean, response.square))
     return interacting * energies_kev * mean, interacting * energies_kev**2 * square
 
 
-def compute_interacting_fraction(detector: Detector, energies_kev: Array) -> Array:
-    """Compute the fraction of photons at normal incidence that interact in a scintillator behind its cover.
+def compute_interacting_fraction(detector: Detector, energies_kev: Array, secant: float = 1.0) -> Array:
+    """Compute the fraction of photons that interact in a scintillator behind its cover.
+
+    Parameters
+    ----------
+    detector : Detector
+        Detector with the material and mass per area of its scintillator, and its cover.
+    energies_kev : (bins,) array, keV
+        Photon energies.
+    secant : float, default 1
+        Path length in the scintillator divided by its thickness, at least 1.
+
+    Returns
+    -------
+    (bins,) float64 array
+        Fraction from 0 to 1, without coherent scattering in the scintillator.
+    """
+    scintillator, cover = compute_optical_depths(detector, energies_kev)
+    return np.asarray(-np.expm1(-scintillator * secant) * np.exp(-cover * secant))
+
+
+def compute_optical_depths(detector: Detector, energies_kev: Array) -> tuple[Array, Array]:
+    """Compute the optical depths of a scintillator and of its cover at normal incidence.
 
     Parameters
     ----------
@@ -147,16 +171,22 @@ def compute_interacting_fraction(detector: Detector, energies_kev: Array) -> Arr
 
     Returns
     -------
-    (bins,) float64 array
-        Fraction from 0 to 1, without coherent scattering in the scintillator.
+    scintillator : (bins,) float64 array
+        Optical depth of the scintillator without coherent scattering, dimensionless; infinite for a detector that
+        absorbs all photons.
+    cover : (bins,) float64 array
+        Optical depth of the cover, dimensionless.
     """
     if detector.absorption == "all":
-        fraction = np.ones(len(energies_kev))
+        scintillator = np.full(len(energies_kev), np.inf)
     else:
-        fraction = absorbed_fraction(detector.formula, detector.mg_per_cm2, energies_kev)
+        absorbed = absorbed_fraction(detector.formula, detector.mg_per_cm2, energies_kev)
+        with np.errstate(divide="ignore"):
+            scintillator = -np.log1p(-absorbed)
+    cover = np.zeros(len(energies_kev))
     for name, mm in detector.cover:
-        fraction = fraction * np.exp(-mm * attenuation_per_mm(parse_compound(name), energies_kev))
-    return fraction
+        cover += mm * attenuation_per_mm(parse_compound(name), energies_kev)
+    return scintillator, cover
 
 
 def response_name(detector: Detector) -> str:

@@ -66,6 +66,39 @@ class ProjectionKernel(Record, frozen=True):
     term: tuple[ScatterTerm, ...]
 
 
+class FittedDetector(Record, frozen=True):
+    """Detector for which the kernel was fitted, and constants of the correction for other detectors.
+
+    Attributes
+    ----------
+    formula : str
+        Chemical formula of the scintillator.
+    density_g_per_cm3 : float
+        Density of the scintillator without pores, in g/cm3.
+    packing : float
+        Fraction of the layer that the scintillator fills.
+    thickness_mm : float
+        Thickness of the layer, in mm.
+    muscle_share : float
+        Fraction of the muscle-equivalent thickness of the object that hardens the scatter.
+    one_minus_cosine : float
+        One minus the cosine of the scattering angle.
+    oblique_excess : float
+        Mean path of scatter in a thin scintillator divided by its thickness, minus 1, without an air gap.
+    oblique_gap_mm : float
+        Air gap at which this excess has decreased to 1/e, in mm.
+    """
+
+    formula: str
+    density_g_per_cm3: float
+    packing: float
+    thickness_mm: float
+    muscle_share: float
+    one_minus_cosine: float
+    oblique_excess: float
+    oblique_gap_mm: float
+
+
 class SmallFieldBias(Record, frozen=True):
     """Ratio of kernel scatter to Monte Carlo scatter in small fields.
 
@@ -109,6 +142,8 @@ class ScatterKernel(Record, frozen=True):
         Width and height of the smallest field for which the kernel is valid, on the detector, in mm.
     small_fields : tuple of SmallFieldBias
         Bias of the kernel in smaller fields, in order of increasing `side_mm`.
+    fitted_detector : FittedDetector
+        Detector of the fit, and correction for other detectors.
     sums : tuple of ProjectionKernel
         Kernels of the projections.
     """
@@ -123,6 +158,7 @@ class ScatterKernel(Record, frozen=True):
     checked_mm_al: Pair
     full_field_mm: Pair
     small_fields: tuple[SmallFieldBias, ...]
+    fitted_detector: FittedDetector
     sums: tuple[ProjectionKernel, ...]
 
     def for_projection(self, projection: str) -> ProjectionKernel:
