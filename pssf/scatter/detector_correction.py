@@ -114,12 +114,25 @@ def make_fitted_detector(technique: Technique) -> Detector:
     )
 
 
+def use_fitted_detector(technique: Technique) -> Technique:
+    """Replace the detector of a technique by that of the kernel fit.
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol.
+
+    Returns
+    -------
+    Technique
+        Technique with the detector of `make_fitted_detector`.
+    """
+    return replace(technique, detector=make_fitted_detector(technique))
+
+
 def _responds_as(detector: Detector, fitted: Detector) -> bool:
     """Return whether a detector absorbs the same energy as the detector of the fit."""
-    absorbers = (
-        (one.absorption, one.formula, one.mg_per_cm2, one.cover, one.escape) for one in (detector, fitted)
-    )
-    first, second = absorbers
+    first, second = ((one.absorption, one.formula, one.mg_per_cm2, one.cover, one.escape) for one in (detector, fitted))
     return first == second
 
 

@@ -63,7 +63,7 @@ from .imaging.left_out_tissues import measure_left_out_tissues
 from .imaging.monte_carlo_reference import compare_monte_carlo_with_reference
 from .imaging.physics_reference import compare_physics_with_references
 from .imaging.positioning_criteria import measure_positioning_criteria
-from .imaging.scatter_phantoms import compare_kernel_with_monte_carlo
+from .imaging.scatter_phantoms import DETECTOR_CASES, OTHER_DETECTORS, compare_kernel_with_monte_carlo
 from .imaging.stage_errors import measure_imaging_chain
 from .imaging.stage_times import measure_cold_and_warm_runs, measure_spectrum_nodes
 from .imaging.throughput import measure_throughput, measure_worker_scaling
@@ -166,7 +166,10 @@ def _make_table_jobs(
         "focal_spot": lambda: measure_focal_spot_models(workers),
         "physics": compare_physics_with_references,
         "monte_carlo": lambda: compare_monte_carlo_with_reference(workers),
-        "scatter": lambda: compare_kernel_with_monte_carlo(workers=workers),
+        "scatter": lambda: [
+            *compare_kernel_with_monte_carlo(workers=workers),
+            *compare_kernel_with_monte_carlo(workers=workers, cases=DETECTOR_CASES, detectors=OTHER_DETECTORS),
+        ],
         "tessellation": measure_tessellation_error,
         "texture_steps": measure_integration_steps,
         "texture_trace": measure_texture_cost,

@@ -10,6 +10,7 @@ from ...data.analysis.reference_table import load_reference_tables
 from ...data.anatomy.tissue_table import Tissue, load_tissues
 from ...model.protocol import load_protocol
 from ...raycast import trace
+from ...scatter.detector_correction import use_fitted_detector
 from ...scatter.monte_carlo import simulate_photons
 from ...xray.primary_beam import transmit
 from ...xray.resolved_technique import resolve_technique
@@ -58,7 +59,7 @@ def _compare_case(
     coarse = replace(load_protocol("reference"), rows=rows, cols=cols, pixel_mm=1.0, tube_kv=kv)
     protocol = replace(coarse, sod_mm=1150.0 - gap_mm - thick_mm / 2)
     scene = build_slab(thick_mm) if kind == "slab" else build_limb(thick_mm, known_tissues)
-    technique = resolve_technique(protocol)
+    technique = use_fitted_detector(resolve_technique(protocol))
     counts = simulate_photons(scene, technique, photons=photons, seed=1, workers=workers, cell_mm=_CELL_MM)
     beam = compute_beam(technique)
     opened = float(transmit({}, beam, technique, workers).kev[rows // 2, cols // 2])

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,11 @@ from ...core.checks import Array
 from ...core.resample import downsample_by_blocks
 from ...data.anatomy.tissue_table import Tissue, load_tissues
 from ...geometry.scene import Scene, Surface
+from ...model.detector import Detector, resolve_detector
 from ...model.knee import Knee
 from ...model.protocol import Protocol, load_protocol
 from ...raycast import trace
+from ...scatter.detector_correction import make_fitted_detector
 from ...scatter.monte_carlo import PhotonTally, simulate_photons
 from ...scatter.scatter_kernel import central_air_gap_mm, compute_air_gaps_mm, compute_kernel_scatter_kev
 from ...xray.materials import resolve_material
@@ -60,6 +63,11 @@ CHECK_CASES_PA: tuple[ScatterCase, ...] = (
     ("knee from behind", 70, 110, 100), ("fixed_flexion", 65, 110, 30), ("fixed_flexion", 70, 130, 60),
     ("fixed_flexion", 75, 120, 90), ("rosenberg", 65, 120, 50), ("lyon_schuss", 60, 130, 40),
 )  # fmt: skip
+# Cases that are also simulated with other detectors than csi, and these detectors.
+DETECTOR_CASES: tuple[ScatterCase, ...] = (
+    ("knee", 70, 120, 70), ("limb", 60, 100, 150), ("limb", 80, 140, 20), ("fixed_flexion", 70, 120, 25),
+)  # fmt: skip
+OTHER_DETECTORS = ("gos", "ideal")
 # Case objects that are knees positioned by the protocol with the same name.
 _LEANING = ("fixed_flexion", "rosenberg", "lyon_schuss")
 # Case objects whose anterior and posterior halves are mirror images.
@@ -74,6 +82,7 @@ def compare_kernel_with_monte_carlo(
     photons: int = 8_000_000,
     workers: int = 2,
     cases: tuple[ScatterCase, ...] = (*FIT_CASES, *FIT_CASES_PA, *CHECK_CASES, *CHECK_CASES_PA),
+    detectors: tuple[str, ...] = ("csi",),
 ) -> list[Row]:
     """Compare the scatter kernel with the Monte Carlo simulation in the joint region, relative to the open beam.
 
@@ -86,19 +95,21 @@ def compare_kernel_with_monte_carlo(
     cases : tuple of tuple
         Object, tube voltage in kV, thickness in mm and air gap in mm of each case. The default is all fit and check
         cases.
+    detectors : tuple of str, default ("csi",)
+        Detectors with which each case is simulated.
 
     Returns
     -------
     list of dict
-        One row per case. ``exit_gap_mm`` is the mean central air gap from which the kernel is computed, see
-        :func:`~pssf.scatter.scatter_kernel.central_air_gap_mm`. ``error_percent`` is the standard error of the
+        One row per detector and case. ``exit_gap_mm`` is the mean central air gap from which the kernel is computed,
+        see :func:`~pssf.scatter.scatter_kernel.central_air_gap_mm`. ``error_percent`` is the standard error of the
         Monte Carlo mean over the region. ``difference_percent`` is the difference between kernel mean and Monte Carlo
         mean. ``worst_percent`` is the largest difference in the region after both scatter images are smoothed by 10 mm.
     """
     rows = []
     known_tissues = load_tissues()
-    for case in cases:
-        run = run_monte_carlo(case, known_tissues, photons, workers)
+    for name, case in product(detectors, cases):
+        run = run_monte_carlo(case, known_tissues, photons, workers, resolve_detector(name))
         opened = float(transmit({}, compute_beam(run.technique), run.technique, workers).kev.max())
         fast = (
             downsample_by_blocks(
@@ -109,6 +120,7 @@ def compare_kernel_with_monte_carlo(
         )
         slow = run.counts.scatter_kev / run.counts.pixels / opened
         known = {
+            "detector": name,
             "used_to_fit": case in (*FIT_CASES, *FIT_CASES_PA),
             "exit_gap_mm": round(central_air_gap_mm(run.gaps_mm), 1),
         }
@@ -142,7 +154,11 @@ class MonteCarloRun:
 
 
 def run_monte_carlo(
-    case: ScatterCase, known_tissues: Mapping[str, Tissue], photons: int, workers: int
+    case: ScatterCase,
+    known_tissues: Mapping[str, Tissue],
+    photons: int,
+    workers: int,
+    detector: Detector | None = None,
 ) -> MonteCarloRun:
     """Simulate one case with the Monte Carlo code, and compute the primary signal by ray casting.
 
@@ -156,6 +172,8 @@ def run_monte_carlo(
         Number of photons.
     workers : int
         Number of worker processes.
+    detector : Detector, optional
+        Detector. The default is that of the kernel fit.
 
     Returns
     -------
@@ -164,6 +182,7 @@ def run_monte_carlo(
     """
     scene, protocol = build_case(case, known_tissues)
     technique, paths = resolve_technique(protocol), trace(scene, protocol, workers=workers).path_mm
+    technique = replace(technique, detector=detector or make_fitted_detector(technique))
     return MonteCarloRun(
         technique=technique,
         gaps_mm=compute_air_gaps_mm(scene, technique.view),
