@@ -49,7 +49,7 @@ def test_transmission_near_a_k_edge_is_accurate_to_0_2_percent(name, mm, tube_kv
 def test_iodine_contrast_equals_that_of_a_finely_binned_spectrum():
     protocol = dataclasses.replace(
         *(pssf.load_protocol("reference"),), rows=9, cols=9, tube_kv=40.0, focal_spot_mm=0.0, scatter="none",
-        noise="none", detector_blur="none",
+        noise="none", detector_blur="none", detector=pssf.load_detector("csi").without_escape(),
     )  # fmt: skip
     primary = []
     for x in (0.0, 5000.0):

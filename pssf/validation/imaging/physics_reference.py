@@ -9,6 +9,7 @@ from ...core.checks import Array
 from ...data.analysis.reference_table import load_reference_tables
 from ...data.anatomy.tissue_table import load_tissues
 from ...model.protocol import load_protocol
+from ...scatter.detector_correction import use_fitted_detector
 from ...scatter.scatter_kernel import compute_air_gaps_mm, compute_kernel_scatter_kev
 from ...xray.materials import attenuation_per_mm, resolve_material
 from ...xray.primary_beam import transmit
@@ -63,7 +64,8 @@ def compare_physics_with_references() -> list[Row]:
 def compute_limb_signals(kv: float, thick_mm: float, gap_mm: float) -> tuple[float, float]:
     """Compute primary and scattered signal behind the centre of an elliptical limb phantom, relative to the open beam.
 
-    The limb is 1.2 times wider than it is thick. Scatter is computed with the scatter kernel.
+    The limb is 1.2 times wider than it is thick. Scatter is computed with the scatter kernel, and
+    the detector is that of the kernel fit and of the references: each photon that interacts deposits its entire energy.
 
     Parameters
     ----------
@@ -82,7 +84,7 @@ def compute_limb_signals(kv: float, thick_mm: float, gap_mm: float) -> tuple[flo
     protocol = dataclasses.replace(
         load_protocol("reference"), tube_kv=kv, rows=300, cols=180, pixel_mm=1.0, sod_mm=1150.0 - gap_mm - thick_mm / 2
     )
-    technique = resolve_technique(protocol)
+    technique = use_fitted_detector(resolve_technique(protocol))
     whole = _ellipse_chords_mm(0.6 * thick_mm, 0.5 * thick_mm, protocol.sod_mm)
     core = _ellipse_chords_mm(0.36 * thick_mm, 0.225 * thick_mm, protocol.sod_mm)
     soft = whole - core
