@@ -106,8 +106,8 @@ class LatentImage:
         Pixel values in DN.
     frequencies : (rows, cols) complex64 array, optional
         Padded signal in the frequency domain.
-    is_area_sampled : bool
-        Whether the primary is the mean over the area of each pixel, not the signal at its centre.
+    subpixels : int
+        Square root of the number of rays per pixel; with 1, the primary is the signal at the centre of each pixel.
     """
 
     path_mm: Mapping[str, Any]
@@ -121,7 +121,7 @@ class LatentImage:
     kept: dict[str, Any] = field(default_factory=dict)
     pixels: NDArray[np.uint16] | None = None
     frequencies: detector_blur.Frequencies | None = None
-    is_area_sampled: bool = False
+    subpixels: int = 1
 
     def compute_air_gaps_mm(self, view: View) -> Array | float:
         """Compute the distance from the exit surface of the object to the detector plane.
@@ -254,7 +254,7 @@ def sample_rays(image: LatentImage, context: StageContext) -> None:
     image.primary = compute_sampled_primary(
         image.scene, context.technique, context.engine, context.workers, points, subpixels
     )
-    image.is_area_sampled = subpixels > 1
+    image.subpixels = subpixels
     image.primary_behind_grid = None
 
 
@@ -393,8 +393,8 @@ def blur_panel(image: LatentImage, context: StageContext) -> None:
     panel = (context.technique.protocol.pixel_mm, context.technique.detector)
     signal, noise, values = image.expected_signal, image.noisy, image.compute_frequencies(context.workers)
     detector_blur.apply_panel_blur(values, signal.shape, *panel)
-    if image.is_area_sampled:
-        detector_blur.remove_pixel_aperture(values, signal.shape)
+    if image.subpixels > 1:
+        detector_blur.remove_pixel_aperture(values, signal.shape, image.subpixels)
     if "noise_free" in context.keep or noise is None:
         image.signal = detector_blur.transform_to_image(values, signal.shape, context.workers)
     if noise is not None:

@@ -156,11 +156,11 @@ def apply_panel_blur(
     values *= _panel_transfer(shape, pixel_mm, _select_transfer(detector, curve))
 
 
-def remove_pixel_aperture(values: Frequencies, shape: tuple[int, ...]) -> None:
+def remove_pixel_aperture(values: Frequencies, shape: tuple[int, ...], subpixels: int) -> None:
     """Divide the Fourier coefficients of an image by the transfer function of the pixel aperture, in place.
 
     The MTF of a detector includes the pixel aperture, which a signal that is averaged over the pixel area includes as
-    well.
+    well. The transfer function is that of the mean by the trapezoidal rule, see `xray.sampled_primary`.
 
     Parameters
     ----------
@@ -168,10 +168,14 @@ def remove_pixel_aperture(values: Frequencies, shape: tuple[int, ...]) -> None:
         Fourier coefficients from `transform_to_frequency`; divided in place.
     shape : tuple of int
         Rows and columns of the image.
+    subpixels : int
+        Square root of the number of rays per pixel, at least 2.
     """
-    fy, fx = _frequency_axes(shape)
-    values /= np.sinc(fy)[:, None]
-    values /= np.sinc(fx)
+    rows, cols = (
+        np.sinc(f) / np.sinc(f / subpixels) * np.cos(np.pi * f / subpixels) for f in _frequency_axes(shape)
+    )
+    values /= rows[:, None]
+    values /= cols
 
 
 class _Transfer(NamedTuple):

@@ -112,7 +112,9 @@ def load_scintillator_response(detector: Detector) -> ScintillatorResponse:
     return ScintillatorResponse(**arrays)
 
 
-def compute_deposited_energy(detector: Detector, energies_kev: Array, secant: float = 1.0) -> tuple[Array, Array]:
+def compute_deposited_energy(
+    detector: Detector, energies_kev: Array, secant: float = 1.0, response: ScintillatorResponse | None = None
+) -> tuple[Array, Array]:
     """Compute the energy that a photon deposits in a scintillator.
 
     Parameters
@@ -124,6 +126,8 @@ def compute_deposited_energy(detector: Detector, energies_kev: Array, secant: fl
     secant : float, default 1
         Path length in the scintillator divided by its thickness, at least 1. The deposited energy of a photon that
         interacts is always that of normal incidence; at secants up to 1.25, this is at most 1.2 % too high (computed).
+    response : ScintillatorResponse, optional
+        Response of the scintillator. The default is `load_scintillator_response`.
 
     Returns
     -------
@@ -132,7 +136,7 @@ def compute_deposited_energy(detector: Detector, energies_kev: Array, secant: fl
     square_kev2 : (bins,) float64 array
         Mean squared deposited energy per incident photon, in keV2.
     """
-    response = load_scintillator_response(detector)
+    response = response or load_scintillator_response(detector)
     interacting = compute_interacting_fraction(detector, energies_kev, secant)
     mean, square = (np.interp(energies_kev, response.energies_kev, each) for each in (response.mean, response.square))
     return interacting * energies_kev * mean, interacting * energies_kev**2 * square

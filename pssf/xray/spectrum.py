@@ -272,14 +272,25 @@ def tube_spectrum(
     beam = (float(tube_kv), float(anode_angle_deg), float(filtration_mm_al), float(off_axis))
     name = "spectrum-" + "-".join(map(repr, beam if bin_kev == _BIN_KEV else (*beam, bin_kev)))
     # SpekPy, which takes a second to import, is imported only when a spectrum is not in the cache.
-    arrays = load_or_make_arrays(name, _CACHE_ORIGIN, partial(_compute_tube_spectrum, *beam, bin_kev))
+    arrays = load_or_make_arrays(name, _CACHE_ORIGIN, partial(compute_tube_spectrum, *beam, bin_kev))
     return arrays["energies_kev"], arrays["photons"]
 
 
-def _compute_tube_spectrum(
+def compute_tube_spectrum(
     tube_kv: float, anode_angle_deg: float, filtration_mm_al: float, off_axis: float, bin_kev: float
 ) -> Arrays:
-    """Compute a tube spectrum with SpekPy, in photons per mm2 and mAs at 1 m."""
+    """Compute a tube spectrum with SpekPy, without a cache.
+
+    Parameters
+    ----------
+    tube_kv, anode_angle_deg, filtration_mm_al, off_axis, bin_kev : float
+        As in `tube_spectrum`.
+
+    Returns
+    -------
+    mapping of str to array
+        ``energies_kev``, the centres of the bins in keV, and ``photons``, per mm2 and mAs at 1 m.
+    """
     from spekpy import Spek
 
     source = Spek(kvp=tube_kv, th=anode_angle_deg, dk=bin_kev, mas=1.0, x=100.0 * off_axis, z=100.0)

@@ -6,12 +6,14 @@ Run ``python -m tools.export_scintillators`` in the folder ``tests`` after a cha
 
 from pssf.data.array_cache import save_to_package
 from pssf.model.detector import load_detectors
+from pssf.xray.response_of_mass import make_node_detectors
 from pssf.xray.scintillator_response import response_name, response_origin, simulate_response_arrays
 
 
 def main() -> None:
-    """Simulate the responses of all detectors, and replace their files in the package."""
-    for detector in (load_detectors()[name] for name in ("csi", "gos")):
+    """Simulate the responses of all detectors, and of the layers that are interpolated, and replace their files in the package."""
+    known = [load_detectors()[name] for name in ("csi", "gos")]
+    for detector in (*known, *(node for each in known for node in make_node_detectors(each.formula))):
         save_to_package(response_name(detector), response_origin(detector), simulate_response_arrays(detector))
 
 

@@ -1,0 +1,194 @@
+"""Estimate the quantum noise of a detector from flat fields: noise per signal, NTF and gain variation."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from ..core.checks import Array
+from .dark_noise import ROUNDING_VARIANCE
+from .estimate import compute_covariance
+
+# Side length of a region for the noise power spectrum, in pixels.
+_ROI_PX = 128
+# Rings of the lowest frequencies, which the subtraction of the trend changes, are left out.
+_FIRST_RING = 4
+# Reduction of the number of independent frequencies by the Hann window in two dimensions, (35 / 18)^2.
+_WINDOW_CORRELATION = (35.0 / 18.0) ** 2
+# Lowest frequency of the fixed pattern, relative to the Nyquist frequency.
+_PATTERN_FROM = 0.2
+# Number of standard errors above which a fixed pattern is detected.
+_DETECTED = 3.0
+
+
+class FlatSpectra(NamedTuple):
+    """Noise power spectra of flat fields, averaged over rings.
+
+    Attributes
+    ----------
+    frequency_per_mm : (rings,) float64 array
+        Spatial frequencies, in cycles per mm.
+    power_dn2 : (flats, rings) float64 array
+        Noise power divided by the pixel area, in DN2 per pixel: the variance of a pixel if the noise were white.
+    relative_error : (rings,) float64 array
+        Relative standard error of the power.
+    mean_dn : (flats,) float64 array
+        Mean signal, in DN.
+    pattern : float
+        Squared relative standard deviation of the fixed pattern of the pixels, dimensionless.
+    pattern_error : float
+        Standard error of `pattern`.
+    """
+
+    frequency_per_mm: Array
+    power_dn2: Array
+    relative_error: Array
+    mean_dn: Array
+    pattern: float
+    pattern_error: float
+
+
+def measure_flat_spectra(flats: Sequence[Array], pixel_mm: float) -> FlatSpectra:
+    """Measure the noise power spectrum of each flat field.
+
+    Parameters
+    ----------
+    flats : sequence of (rows, cols) float64 array, DN
+        Linear flat fields without offset, of at least 128 x 128 pixels.
+    pixel_mm : float
+        Pixel pitch, in mm.
+
+    Returns
+    -------
+    FlatSpectra
+        Spectra. In each region, a quadratic trend is subtracted.
+    """
+    window = np.outer(np.hanning(_ROI_PX), np.hanning(_ROI_PX))
+    scale = 1.0 / np.sqrt((window**2).sum())
+    transforms, means = [], []
+    for flat in flats:
+        regions = _split_regions(flat)
+        means.append(float(regions.mean()))
+        transforms.append(np.fft.fft2(_subtract_trend(regions) * window) * scale)
+    f = np.fft.fftfreq(_ROI_PX, pixel_mm)
+    radius = np.hypot(*np.meshgrid(f, f))
+    used = (np.arange(_ROI_PX)[:, None] > 0) & (np.arange(_ROI_PX) > 0) & (radius < 0.5 / pixel_mm)
+    ring = np.rint(radius * _ROI_PX * pixel_mm).astype(int)
+    used &= ring >= _FIRST_RING
+    count = np.bincount(ring[used])[_FIRST_RING:]
+    frequency = np.bincount(ring[used], radius[used])[_FIRST_RING:] / count
+    power = np.array(
+        [np.bincount(ring[used], (np.abs(each) ** 2).mean(axis=0)[used])[_FIRST_RING:] / count for each in transforms]
+    )
+    regions_count = len(transforms[0])
+    # A frequency and its negative have the same power, so that half of the values are independent.
+    error = np.sqrt(2 * _WINDOW_CORRELATION / (count * regions_count))
+    high = used & (radius > _PATTERN_FROM * 0.5 / pixel_mm)
+    return FlatSpectra(frequency, power, error, np.array(means), *_measure_pattern(transforms, means, high))
+
+
+def _split_regions(flat: Array) -> Array:
+    """Split a flat field into regions (count, 128, 128)."""
+    rows, cols = (side // _ROI_PX for side in flat.shape)
+    cut = flat[: rows * _ROI_PX, : cols * _ROI_PX].reshape(rows, _ROI_PX, cols, _ROI_PX)
+    return cut.swapaxes(1, 2).reshape(-1, _ROI_PX, _ROI_PX)
+
+
+def _subtract_trend(regions: Array) -> Array:
+    """Subtract a quadratic polynomial of row and column from each region."""
+    place = np.linspace(-1, 1, _ROI_PX)
+    x, y = np.meshgrid(place, place)
+    basis, _ = np.linalg.qr(np.stack([f.ravel() for f in (np.ones_like(x), x, y, x * x, x * y, y * y)], axis=1))
+    flat = regions.reshape(len(regions), -1)
+    return np.asarray((flat - (flat @ basis) @ basis.T).reshape(regions.shape))
+
+
+def _measure_pattern(transforms: Sequence[Array], means: Sequence[float], high: Array) -> tuple[float, float]:
+    """Measure the squared relative pattern that all flat fields have in common, and its standard error."""
+    products, errors = [], []
+    for one in range(len(transforms)):
+        for other in range(one):
+            scale = means[one] * means[other]
+            cross = (transforms[one] * transforms[other].conj()).real.mean(axis=0)[high] / scale
+            noise = np.sqrt((np.abs(transforms[one]) ** 2).mean() * (np.abs(transforms[other]) ** 2).mean()) / scale
+            products.append(cross.mean())
+            errors.append(noise * np.sqrt(_WINDOW_CORRELATION / (high.sum() * len(transforms[one]))))
+    if not products:
+        return 0.0, np.inf
+    weights = np.array(errors) ** -2
+    return float(np.average(products, weights=weights)), float(weights.sum() ** -0.5)
+
+
+class NoiseFit(NamedTuple):
+    """Parameters of the quantum noise.
+
+    Attributes
+    ----------
+    noise_per_signal_dn : float
+        Variance of a pixel divided by its signal at frequency 0, in DN.
+    ntf_f0_per_mm : float
+        Spatial frequency f0 of the NTF, in 1/mm.
+    ntf_power : float
+        Exponent of the NTF.
+    readout_dn : float
+        Standard deviation of the readout noise, in DN.
+    gain_variation : float
+        Relative standard deviation of the gains of the pixels.
+    covariance : (4, 4) float64 array
+        Covariance of the logarithms of the first four values.
+    reduced_chi2 : float
+        Mean squared residual divided by its expected value.
+    """
+
+    noise_per_signal_dn: float
+    ntf_f0_per_mm: float
+    ntf_power: float
+    readout_dn: float
+    gain_variation: float
+    covariance: Array
+    reduced_chi2: float
+
+
+def fit_noise(spectra: FlatSpectra, readout_dn: tuple[float, float] | None, start: tuple[float, float]) -> NoiseFit:
+    """Fit the quantum noise, the NTF and the readout noise to the spectra of flat fields.
+
+    Parameters
+    ----------
+    spectra : FlatSpectra
+        Spectra of flat fields at one or more exposures.
+    readout_dn : (float, float), optional
+        Readout noise and its relative standard error from dark images, in DN and dimensionless. None if there are no
+        dark images.
+    start : (float, float)
+        Starting values of f0, in 1/mm, and of the exponent of the NTF.
+
+    Returns
+    -------
+    NoiseFit
+        Values of maximum likelihood: the power of a ring has a gamma distribution.
+    """
+    pattern = spectra.pattern if spectra.pattern > _DETECTED * spectra.pattern_error else 0.0
+    signal = spectra.mean_dn[:, None]
+    first = (spectra.power_dn2[:, :8].mean(axis=1) / spectra.mean_dn).mean()
+    weakest = float(spectra.power_dn2.min())
+    guess = readout_dn[0] if readout_dn else float(np.sqrt(0.2 * weakest))
+
+    def residuals(logs: Array) -> Array:
+        per_signal, f0, power, readout = np.exp(logs)
+        ntf = 1 / (1 + (spectra.frequency_per_mm / f0) ** power)
+        model = per_signal * signal * ntf**2 + readout**2 + ROUNDING_VARIANCE + pattern * signal**2
+        ratio = spectra.power_dn2 / model
+        deviance = np.sign(ratio - 1) * np.sqrt(np.maximum(2 * (ratio - 1 - np.log(ratio)), 0))
+        terms = (deviance / spectra.relative_error).ravel()
+        if readout_dn is None:
+            return np.asarray(terms)
+        return np.append(terms, (logs[3] - np.log(readout_dn[0])) / readout_dn[1])
+
+    begin = np.log([first, *start, max(guess, 1e-3)])
+    bounds = (begin - [3, 5, 3, 9], begin + [3, 5, 3, 9])
+    found = least_squares(residuals, begin, bounds=bounds, x_scale="jac")
+    free = max(1, spectra.power_dn2.size - 4)
+    chi2 = float((found.fun[: spectra.power_dn2.size] ** 2).sum()) / free
+    values = (float(value) for value in np.exp(found.x))
+    return NoiseFit(*values, float(np.sqrt(pattern)), compute_covariance(found.jac), chi2)
