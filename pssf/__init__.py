@@ -22,6 +22,7 @@ standard_templates  radiographs of reference knees, with which joints are locali
 experiment  run of a cohort and its study
 benchmark   frozen data set with splits and baselines                (extra "study")
 quality     image quality of a protocol, compared with reference values
+calibration  images of a detector  -> detector and protocol with intervals
 explore     interactive page in the browser                          (extra "explore")
 validation  numerical error and run time
 patient_comparison  comparison with bones, landmarks and radiographs of patients  (extra "study")

@@ -13,17 +13,17 @@ from ..core.checks import Array, InputError
 from ..geometry.view import View
 from ..model.detector import Detector
 from ..xray.materials import Material, attenuation_per_mm, parse_compound
-from ..xray.response_of_mass import NODES_MG_PER_CM2, interpolate_response, set_mass_per_area
 from ..xray.resolved_technique import Technique
+from ..xray.response_of_mass import NODES_MG_PER_CM2, interpolate_response, set_mass_per_area
 from ..xray.scintillator_response import compute_deposited_energy
-from ..xray.spectrum import compute_tube_spectrum
+from ..xray.spectrum import compute_tube_spectrum, split_at_detector_edges
 from .calibration_images import Step
 from .estimate import compute_covariance
 
 # Side length of the blocks of a region whose scatter gives its standard error, in pixels.
 _BLOCK_PX = 8
-# Relative error of a modelled signal: the tolerance of the energy quadrature of the simulation.
-_MODEL_ERROR = 5e-4
+# Relative error of a modelled signal, from the simulated response of the scintillator and the energy quadrature.
+_MODEL_ERROR = 2e-4
 # Largest relative standard error at which a parameter counts as measured. With a larger one it is held.
 _LARGEST_ERRORS = {"tube_kv": 0.03, "filtration_mm_al": 0.3, "mg_per_cm2": 0.3}
 # Parameters of the fit, in this order.
@@ -118,11 +118,13 @@ class _Beam(NamedTuple):
 class _Model(NamedTuple):
     """Beams from which the signals are interpolated.
 
-    `kv_nodes` (nodes,) are relative tube voltages, `beams` are the beams of each wedge image at these, and `anchor` is a
-    detector with a similar mass of scintillator, whose response is simulated.
+    `kv_nodes` (nodes,) are relative tube voltages, `filtration_mm_al` is the filtration of the spectra, and `beams` are
+    the beams of each wedge image at the nodes. `anchor` is a detector with a similar mass of scintillator, whose
+    response is simulated.
     """
 
     kv_nodes: Array
+    filtration_mm_al: float
     beams: list[list[_Beam]]
     anchor: Detector | None
 
@@ -198,7 +200,8 @@ def fit_beam(wedges: Sequence[WedgeSignals], technique: Technique, material: str
     free, known = list(range(len(PARAMETERS))), technique.material(material)
     if technique.detector.absorption == "all":
         free.remove(_MASS)
-    model = _Model(_FIRST_NODES, [_make_beams(wedge, technique, known, _FIRST_NODES) for wedge in wedges], None)
+    beams = [_make_beams(wedge, technique, known, _FIRST_NODES) for wedge in wedges]
+    model = _Model(_FIRST_NODES, technique.protocol.filtration_mm_al, beams, None)
     while True:
         found, covariance = _fit_free(wedges, model, technique, start, free)
         errors = {i: float(np.sqrt(covariance[n, n])) / _LARGEST_ERRORS[PARAMETERS[i]] for n, i in enumerate(free)}
@@ -225,9 +228,11 @@ def _is_near(values: Array, model: _Model) -> bool:
 def _refine_model(values: Array, wedges: Sequence[WedgeSignals], technique: Technique, material: Material) -> _Model:
     """Make a model with spectra and a simulated response near fitted values."""
     nodes = float(values[0]) + _NEAR_KV * np.linspace(-1, 1, 4)
+    technique = technique.replace_protocol(filtration_mm_al=float(values[1]))
     detector = technique.detector
     anchor = None if detector.absorption == "all" else set_mass_per_area(detector, float(values[_MASS]))
-    return _Model(nodes, [_make_beams(wedge, technique, material, nodes) for wedge in wedges], anchor)
+    beams = [_make_beams(wedge, technique, material, nodes) for wedge in wedges]
+    return _Model(nodes, technique.protocol.filtration_mm_al, beams, anchor)
 
 
 def _fit_free(
@@ -307,7 +312,7 @@ def _predict_log_signals(values: Array, wedge: int, technique: Technique, model:
         detector = set_mass_per_area(detector, mass)
     logs = []
     for beam in model.beams[wedge]:
-        added_mm = filtration - technique.protocol.filtration_mm_al
+        added_mm = filtration - model.filtration_mm_al
         signal = beam.photons * np.exp(-beam.aluminium_per_mm * added_mm)
         signal *= deposit_energy(detector, beam.energies_kev, model.anchor)[0]
         logs.append(np.log(beam.passed @ signal / signal.sum()))
@@ -362,7 +367,7 @@ def filtered_spectrum(tube_kv: float, filtration_mm_al: float, technique: Techni
     depth = attenuation_per_mm(_ALUMINIUM, energies) * (filtration_mm_al - protocol.filtration_mm_al)
     for name, mm in protocol.filters:
         depth = depth + mm * attenuation_per_mm(technique.material(name), energies)
-    return energies, photons * np.exp(-depth)
+    return split_at_detector_edges(energies, photons * np.exp(-depth), technique)
 
 
 @lru_cache(maxsize=256)

@@ -151,6 +151,6 @@ def _require_region(step: Step, shape: tuple[int, ...]) -> None:
     inside = 0 <= step.top < step.bottom <= shape[0] and 0 <= step.left < step.right <= shape[1]
     if not inside or (step.bottom - step.top) * (step.right - step.left) < _LEAST_STEP_PIXELS:
         raise InputError(
-            f"{where} must contain at least {_LEAST_STEP_PIXELS} pixels of the image of {shape[0]} x {shape[1]} pixels, "
-            f"got rows {step.top} to {step.bottom} and columns {step.left} to {step.right}"
+            f"{where} must contain at least {_LEAST_STEP_PIXELS} pixels of the image of {shape[0]} x {shape[1]} pixels"
+            f", got rows {step.top} to {step.bottom} and columns {step.left} to {step.right}"
         )

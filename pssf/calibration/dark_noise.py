@@ -1,6 +1,7 @@
 """Estimate the offset and the readout noise of a detector from images without exposure."""
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from scipy.optimize import minimize
 from scipy.special import ndtr
 
 from ..core.checks import Array
-from .estimate import Estimate, compute_covariance, make_estimate
+from .estimate import Estimate, make_estimate
 
 # Distance from the median beyond which a pixel is defective, in robust standard deviations.
 _DEFECT_DEVIATIONS = 8.0
@@ -54,9 +55,7 @@ def estimate_dark_noise(darks: Sequence[NDArray[np.uint16]]) -> DarkNoise:
     values = _remove_defects(np.concatenate([dark.ravel() for dark in darks]).astype(np.int64))
     mean, sd, covariance = _fit_rounded_normal(values)
     if len(darks) > 1:
-        difference = np.concatenate(
-            [(one.astype(float) - other).ravel() for one, other in zip(darks, darks[1:], strict=False)]
-        )
+        difference = np.concatenate([(one.astype(float) - other).ravel() for one, other in pairwise(darks)])
         kept = np.abs(difference) < _DEFECT_DEVIATIONS * np.sqrt(2) * max(sd, 0.5)
         temporal = max(float(difference[kept].var()) / 2 - ROUNDING_VARIANCE, 0.0)
         if sd**2 > _PATTERN_RATIO * temporal and temporal > 0:

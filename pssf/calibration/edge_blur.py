@@ -17,6 +17,8 @@ _LEAST_STRIP_PX = 32
 # image change the MTF at lower frequencies, and its value at frequency 0, to which it is normalised.
 _FITTED_FROM = 0.02
 _FITTED_TO = 0.95
+# Range of the logarithms of f0, exponent and scale around their starting values.
+_FIT_RANGE = np.array([5.0, 3.0, 0.1])
 # Number of bands of frequencies in which the error is computed; within a band, the error is constant.
 _BANDS = 12
 
@@ -130,7 +132,7 @@ def fit_mtf(edge: EdgeMtf, start: tuple[float, float]) -> MtfFit:
         return np.asarray((mtf - scale / (1 + (frequency / f0) ** power)) / error)
 
     begin = np.append(np.log(start), 0.0)
-    found = least_squares(residuals, begin, bounds=(begin - [5, 3, 0.1], begin + [5, 3, 0.1]), x_scale="jac")
+    found = least_squares(residuals, begin, bounds=(begin - _FIT_RANGE, begin + _FIT_RANGE), x_scale="jac")
     band = np.minimum((frequency / frequency[-1] * _BANDS).astype(int), _BANDS - 1)
     count = np.bincount(band)
     difference = np.bincount(band, found.fun * error) / count

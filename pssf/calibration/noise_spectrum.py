@@ -18,6 +18,8 @@ _FIRST_RING = 4
 _WINDOW_CORRELATION = (35.0 / 18.0) ** 2
 # Lowest frequency of the fixed pattern, relative to the Nyquist frequency.
 _PATTERN_FROM = 0.2
+# Range of the logarithms of noise per signal, f0, exponent and readout noise around their starting values.
+_FIT_RANGE = np.array([3.0, 5.0, 3.0, 9.0])
 # Number of standard errors above which a fixed pattern is detected.
 _DETECTED = 3.0
 
@@ -186,8 +188,7 @@ def fit_noise(spectra: FlatSpectra, readout_dn: tuple[float, float] | None, star
         return np.append(terms, (logs[3] - np.log(readout_dn[0])) / readout_dn[1])
 
     begin = np.log([first, *start, max(guess, 1e-3)])
-    bounds = (begin - [3, 5, 3, 9], begin + [3, 5, 3, 9])
-    found = least_squares(residuals, begin, bounds=bounds, x_scale="jac")
+    found = least_squares(residuals, begin, bounds=(begin - _FIT_RANGE, begin + _FIT_RANGE), x_scale="jac")
     free = max(1, spectra.power_dn2.size - 4)
     chi2 = float((found.fun[: spectra.power_dn2.size] ** 2).sum()) / free
     values = (float(value) for value in np.exp(found.x))

@@ -171,9 +171,7 @@ def remove_pixel_aperture(values: Frequencies, shape: tuple[int, ...], subpixels
     subpixels : int
         Square root of the number of rays per pixel, at least 2.
     """
-    rows, cols = (
-        np.sinc(f) / np.sinc(f / subpixels) * np.cos(np.pi * f / subpixels) for f in _frequency_axes(shape)
-    )
+    rows, cols = (np.sinc(f) / np.sinc(f / subpixels) * np.cos(np.pi * f / subpixels) for f in _frequency_axes(shape))
     values /= rows[:, None]
     values /= cols
 

@@ -9,10 +9,12 @@ from scipy.interpolate import CubicSpline
 
 from ..core.checks import Array
 from ..data.array_cache import Arrays, CacheKey, load_or_make_arrays
+from ..model.detector import Detector
 from .materials import (
     Material,
     absorption_edges_kev,
     attenuation_per_mm,
+    parse_compound,
 )
 from .resolved_technique import Technique
 from .scintillator_response import compute_deposited_energy
@@ -81,18 +83,50 @@ def compute_beam(technique: Technique, materials: Iterable[Material] = ()) -> Be
     if protocol.mono_kev is not None:
         energies, photons = np.array([protocol.mono_kev]), np.array([_MONO_PHOTONS_PER_MM2_MAS])
         return Beam(energies, photons * protocol.mas, *compute_deposited_energy(technique.detector, energies))
-    energies, photons = compute_source_spectrum(technique)
+    energies, photons = split_at_detector_edges(*compute_source_spectrum(technique), technique)
     response = compute_deposited_energy(technique.detector, energies)
     filters = [technique.material(name) for name, _ in protocol.filters]
     edges = [edge for edge in absorption_edges_kev([*materials, *filters]) if energies[0] < edge < energies[-1]]
     if edges and protocol.spectrum is None:
         signal = (photons * response[0]).sum()
         fine = replace(technique, protocol=replace(protocol, filters=()))
+        edges += _detector_edges_kev(technique.detector)
         energies, photons = _split_bins(*compute_source_spectrum(fine, bin_kev=_FINE_KEV), edges, _FINE_KEV)
         photons = photons * _filter_transmission(technique, energies)
         response = compute_deposited_energy(technique.detector, energies)
         photons = photons * (signal / (photons * response[0]).sum())
     return Beam(energies, photons * protocol.mas, *response)
+
+
+def split_at_detector_edges(energies_kev: Array, photons: Array, technique: Technique) -> tuple[Array, Array]:
+    """Split the bins of a tube spectrum that contain an absorption edge of the scintillator.
+
+    Parameters
+    ----------
+    energies_kev : (bins,) array, keV
+        Centres of bins of 0.5 keV.
+    photons : (bins,) array, any unit
+        Photons per bin.
+    technique : Technique
+        Resolved protocol with the detector. A monochromatic beam and a spectrum of the user are not split.
+
+    Returns
+    -------
+    energies_kev : (parts,) float64 array
+        Centres of the new bins, in keV.
+    photons : (parts,) float64 array
+        Photons per bin, in the unit of `photons`.
+    """
+    if technique.protocol.mono_kev is not None or technique.protocol.spectrum is not None:
+        return energies_kev, photons
+    return _split_bins(energies_kev, photons, _detector_edges_kev(technique.detector), _BIN_KEV)
+
+
+def _detector_edges_kev(detector: Detector) -> list[float]:
+    """List the absorption edges of the scintillator of a detector, in keV."""
+    if detector.absorption == "all":
+        return []
+    return list(absorption_edges_kev([parse_compound(f"{detector.formula}@1.0")]))
 
 
 def compute_reduced_beam(
@@ -106,7 +140,7 @@ def compute_reduced_beam(
         Resolved protocol.
     max_path_mm : mapping of str to float
         Maximum path length in each material, in mm.
-    tolerance : float, default 5e-4
+    tolerance : float, default 1e-4
         Largest relative error of the signal behind any combination of path lengths up to `max_path_mm`, compared with
         bins of 0.5 keV.
 

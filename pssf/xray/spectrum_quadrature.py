@@ -12,7 +12,7 @@ from scipy.optimize import nnls
 from ..core.checks import Array
 
 # Largest allowed relative error for mixtures of materials that are not part of the fit.
-RELATIVE_TOLERANCE = 5e-4
+RELATIVE_TOLERANCE = 1e-4
 # Smallest number of energies in the search.
 _FEWEST = 4
 # Largest number of energies in the search.
@@ -42,7 +42,7 @@ def fit_spectrum_quadrature(
         Linear attenuation coefficients.
     max_path_mm : (materials,) array, mm
         Maximum path length in each material.
-    tolerance : float, default 5e-4
+    tolerance : float, default 1e-4
         Largest allowed relative error of the signal.
 
     Returns

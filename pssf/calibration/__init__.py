@@ -1,0 +1,19 @@
+"""Calibrate a detector: estimate its properties and its beam from dark images, flat fields, an edge and a step wedge.
+
+calibrate_detector   images and protocol -> detector, protocol and estimates with intervals
+
+calibration_images   images, steps and settings
+dark_noise           offset and readout noise
+signal_response      signal per mAs, response curve and saturation
+noise_spectrum       quantum noise, NTF and gain variation
+edge_blur            MTF
+beam_fit             tube voltage, filtration and mass of scintillator
+estimate             value with confidence interval
+calibration_run      all steps in order
+"""
+
+from .calibration_images import CalibrationImages, Step, Wedge
+from .calibration_run import Calibration, calibrate_detector
+from .estimate import Estimate
+
+__all__ = ["Calibration", "CalibrationImages", "Estimate", "Step", "Wedge", "calibrate_detector"]

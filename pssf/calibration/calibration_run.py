@@ -1,0 +1,338 @@
+"""Estimate the properties of a detector and of its beam from images of flat fields, edges and wedges."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..core.checks import Array
+from ..detector.detector_blur import apply_panel_blur, transform_to_frequency, transform_to_image
+from ..detector.panel_readout import linearise_pixels
+from ..model.detector import Detector
+from ..model.protocol import Protocol
+from ..xray.primary_beam import compute_primary
+from ..xray.resolved_technique import Technique, resolve_technique
+from ..xray.response_of_mass import set_mass_per_area
+from .beam_fit import PARAMETERS, BeamFit, WedgeSignals, deposit_energy, filtered_spectrum, fit_beam, measure_wedge
+from .calibration_images import CalibrationImages
+from .dark_noise import estimate_dark_noise
+from .edge_blur import EdgeMtf, fit_mtf, make_mtf_table, measure_edge
+from .estimate import Estimate, hold_value, make_estimate
+from .noise_spectrum import FlatSpectra, fit_noise, measure_flat_spectra
+from .signal_response import SignalResponse, measure_signal_response
+
+# Largest deviation of the MTF from its equation, absolute and in standard errors, above which a table replaces it.
+_MTF_DEVIATION, _MTF_DEVIATION_ERRORS = 0.01, 5.0
+# Smallest relative standard error of the readout noise from dark images.
+_LEAST_ERROR = 1e-4
+# Largest relative standard error at which the readout noise is determined by flat fields alone.
+_READOUT_ERROR = 0.1
+# Step of the logarithm of a beam parameter for numerical derivatives.
+_STEP = 0.005
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibration:
+    """Result of a calibration.
+
+    Attributes
+    ----------
+    detector : Detector
+        Detector with the measured properties.
+    protocol : Protocol
+        Protocol with the measured tube voltage and filtration, the pixel pitch of the images, and the detector.
+    estimates : mapping of str to Estimate
+        Measured and held values with their intervals, keyed by field of `Detector` or `Protocol`.
+    response : SignalResponse or None
+        Signal of the flat fields.
+    spectra : FlatSpectra or None
+        Noise power spectra of the flat fields.
+    edge : EdgeMtf or None
+        Measured MTF.
+    wedges : tuple of WedgeSignals
+        Signals behind the wedge.
+    beam : BeamFit or None
+        Beam that reproduces the signals behind the wedge.
+    """
+
+    detector: Detector
+    protocol: Protocol
+    estimates: Mapping[str, Estimate]
+    response: SignalResponse | None = None
+    spectra: FlatSpectra | None = None
+    edge: EdgeMtf | None = None
+    wedges: tuple[WedgeSignals, ...] = ()
+    beam: BeamFit | None = None
+
+
+@dataclass
+class _Working:
+    """Values that the steps of a calibration collect."""
+
+    images: CalibrationImages
+    technique: Technique
+    estimates: dict[str, Estimate] = field(default_factory=dict)
+    changes: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def detector(self) -> Detector:
+        """Starting detector with the values that are known so far."""
+        return replace(self.technique.detector, **self.changes)
+
+    def set(self, name: str, estimate: Estimate) -> None:
+        """Store the estimate of a field of the detector and use its value."""
+        self.estimates[name] = estimate
+        if estimate.source == "measured":
+            self.changes[name] = estimate.value
+
+    def hold(self, note: str, *names: str) -> None:
+        """Hold fields of the detector at their starting values."""
+        for name in names:
+            self.set(name, hold_value(getattr(self.technique.detector, name), note))
+
+
+def calibrate_detector(images: CalibrationImages, protocol: Protocol, name: str = "calibrated") -> Calibration:
+    """Estimate the properties of a detector and of its beam from images.
+
+    Parameters
+    ----------
+    images : CalibrationImages
+        Dark images, flat fields, edge and wedge; any of them can be missing.
+    protocol : Protocol
+        Geometry, nominal tube voltage and filtration of the flat fields, and starting detector. What the images do not
+        determine is held at the values of this protocol and detector.
+    name : str, default "calibrated"
+        Name of the detector.
+
+    Returns
+    -------
+    Calibration
+        Detector, protocol, and estimates with 95 % intervals.
+
+    Raises
+    ------
+    InputError
+        If an image does not show what it should, for example no straight edge.
+
+    Notes
+    -----
+    Images contain electrons only as numbers of DN, so `electrons_per_kev` is held; it sets the scale of the other
+    constants in electrons. Without a wedge, the mass of scintillator, tube voltage and filtration are held. The Swank
+    factor follows from the noise and from the output of the tube, which is that of the spectrum model.
+    """
+    shape = _image_shape(images)
+    sized = replace(protocol, rows=shape[0], cols=shape[1], pixel_mm=images.pixel_mm)
+    work = _Working(images, resolve_technique(sized))
+    _calibrate_dark(work)
+    response = _calibrate_signal(work)
+    spectra = _measure_spectra(work, response)
+    edge = _calibrate_edge(work)
+    wedges, beam = _calibrate_beam(work)
+    _calibrate_gain(work, response, spectra, beam)
+    detector = replace(work.detector, name=name)
+    beam_changes = {key: work.estimates[key].value for key in ("tube_kv", "filtration_mm_al")}
+    return Calibration(
+        detector=detector,
+        protocol=replace(protocol, pixel_mm=images.pixel_mm, detector=detector, **beam_changes),
+        estimates=work.estimates,
+        response=response,
+        spectra=spectra,
+        edge=edge,
+        wedges=wedges,
+        beam=beam,
+    )
+
+
+def _image_shape(images: CalibrationImages) -> tuple[int, int]:
+    """Return the shape of the images, which the relative open beam is computed for."""
+    known = [*images.flats, *(wedge.image for wedge in images.wedges), *images.darks]
+    known += [] if images.edge is None else [images.edge]
+    return known[0].shape
+
+
+def _calibrate_dark(work: _Working) -> None:
+    """Estimate the offset; the readout noise in DN is kept until the gain is known."""
+    if work.images.darks:
+        work.set("offset_dn", estimate_dark_noise(work.images.darks).offset_dn)
+    else:
+        work.hold("no dark images", "offset_dn")
+
+
+def _calibrate_signal(work: _Working) -> SignalResponse | None:
+    """Measure signal per mAs, response curve and saturation."""
+    images = work.images
+    if not images.flats:
+        return None
+    beam = _relative_open_beam(work, images.flats[0].shape)
+    response = measure_signal_response(images.flats, images.flat_mas, work.detector.offset_dn, beam)
+    work.changes["response"] = response.response
+    if not all(response.used):
+        work.set(
+            "saturation_dn",
+            Estimate(value=response.saturation_dn, low=response.saturation_dn, high=response.saturation_dn),
+        )
+    return response
+
+
+def _measure_spectra(work: _Working, response: SignalResponse | None) -> FlatSpectra | None:
+    """Measure the noise power spectra of the flat fields below saturation."""
+    if response is None:
+        return None
+    flats = [
+        linearise_pixels(flat, work.detector).astype(np.float64)
+        for flat, used in zip(work.images.flats, response.used, strict=True)
+        if used
+    ]
+    return measure_flat_spectra(flats, work.images.pixel_mm)
+
+
+def _calibrate_edge(work: _Working) -> EdgeMtf | None:
+    """Estimate the MTF: the equation, or a table if the equation does not fit."""
+    images = work.images
+    if images.edge is None:
+        work.hold("no image of an edge", "mtf_f0_per_mm", "mtf_power")
+        return None
+    signal = linearise_pixels(images.edge, work.detector) / _relative_open_beam(work, images.edge.shape)
+    edge = measure_edge(signal.astype(np.float64), images.pixel_mm)
+    start = work.technique.detector
+    fit = fit_mtf(edge, (start.mtf_f0_per_mm, start.mtf_power))
+    errors = np.sqrt(np.diag(fit.covariance))
+    work.changes.update(mtf=None, glare_fraction=0.0)
+    work.set("mtf_f0_per_mm", make_estimate(fit.f0_per_mm, fit.f0_per_mm * float(errors[0])))
+    work.set("mtf_power", make_estimate(fit.power, fit.power * float(errors[1])))
+    if fit.deviation > _MTF_DEVIATION and fit.deviation_errors > _MTF_DEVIATION_ERRORS:
+        work.changes["mtf"] = make_mtf_table(edge)
+    return edge
+
+
+def _calibrate_beam(work: _Working) -> tuple[tuple[WedgeSignals, ...], BeamFit | None]:
+    """Estimate tube voltage, filtration and mass of scintillator."""
+    images, protocol = work.images, work.technique.protocol
+    if not images.wedges:
+        work.hold("no images of a wedge", "thickness_mm")
+        for name in ("tube_kv", "filtration_mm_al"):
+            work.estimates[name] = hold_value(getattr(protocol, name), "no images of a wedge")
+        return (), None
+    wedges = []
+    for wedge in images.wedges:
+        signal = _remove_blur(linearise_pixels(wedge.image, work.detector), work)
+        beam = _relative_open_beam(work, wedge.image.shape)
+        wedges.append(measure_wedge(signal, beam, images.steps, work.technique.view, wedge.tube_kv))
+    fit = fit_beam(wedges, work.technique, images.step_material)
+    errors = np.sqrt(np.diag(fit.covariance))
+    nominal = (protocol.tube_kv, 1.0, 1.0)
+    values = (fit.kv_scale, fit.filtration_mm_al, fit.mg_per_cm2)
+    for name, unit, value, error in zip(PARAMETERS, nominal, values, errors, strict=True):
+        if name in fit.held:
+            known = hold_value(value * unit, "not determined by the wedge images")
+        else:
+            known = make_estimate(value * unit, value * unit * float(error))
+        if name == "mg_per_cm2":
+            thickness = set_mass_per_area(work.technique.detector, 1.0).thickness_mm
+            work.set("thickness_mm", known.scale(thickness))
+        else:
+            work.estimates[name] = known
+    return tuple(wedges), fit
+
+
+def _remove_blur(signal: NDArray[np.float32], work: _Working) -> Array:
+    """Remove most of the light that the detector spreads from bright to dark steps (rows, cols), in DN.
+
+    The difference between the image and the image blurred once more is added (van Cittert 1931, one iteration). The
+    mean over a region then contains the spread light only in second order. Noise of high frequencies has no effect on
+    the mean.
+    """
+    values = transform_to_frequency(signal)
+    apply_panel_blur(values, signal.shape, work.images.pixel_mm, work.detector)
+    return np.asarray(2.0 * signal - transform_to_image(values, signal.shape), np.float64)
+
+
+def _calibrate_gain(
+    work: _Working, response: SignalResponse | None, spectra: FlatSpectra | None, beam: BeamFit | None
+) -> None:
+    """Estimate gain, noise and Swank factor, for which the beam must be known."""
+    work.hold("images contain no electrons, only DN", "electrons_per_kev")
+    if response is None or spectra is None:
+        work.hold("no flat fields", "electrons_per_dn_mm2", "swank", "ntf_f0_per_mm", "ntf_power", "gain_variation")
+        work.hold("no flat fields" if work.images.darks else "no dark images", "readout_electrons")
+        return
+    dark = estimate_dark_noise(work.images.darks).noise_dn if work.images.darks else None
+    start = work.technique.detector
+    known = None
+    if dark is not None:
+        known = (dark.value, max(float(np.log(dark.high / dark.low)) / 2 / 1.96, _LEAST_ERROR))
+    fit = fit_noise(spectra, known, (start.ntf_f0_per_mm, start.ntf_power))
+    errors = np.sqrt(np.diag(fit.covariance))
+    work.changes["ntf"] = None
+    work.set("ntf_f0_per_mm", make_estimate(fit.ntf_f0_per_mm, fit.ntf_f0_per_mm * float(errors[1])))
+    work.set("ntf_power", make_estimate(fit.ntf_power, fit.ntf_power * float(errors[2])))
+    work.changes["gain_variation"] = fit.gain_variation
+    covariance = np.zeros((3, 3)) if beam is None else beam.covariance
+    signal_kev, quantum_kev, slopes = _describe_open_beam(work, beam)
+    slope_error = float(np.log(response.signal_per_mas.high / response.signal_per_mas.low)) / 2 / 1.96
+    gain_error = float(np.sqrt(slope_error**2 + slopes[0] @ covariance @ slopes[0]))
+    gain = response.signal_per_mas.value / signal_kev
+    note = "" if beam is not None else "for the beam of the protocol"
+    per_dn_mm2 = start.electrons_per_kev / (gain * work.images.pixel_mm**2)
+    work.set("electrons_per_dn_mm2", make_estimate(per_dn_mm2, per_dn_mm2 * gain_error, note=note))
+    _set_readout(work, fit.readout_dn, float(errors[3]), gain_error)
+    swank = gain * quantum_kev / fit.noise_per_signal_dn
+    towards = slopes[1] - slopes[0]
+    swank_error = float(np.sqrt(slope_error**2 + errors[0] ** 2 + towards @ covariance @ towards))
+    _set_swank(work, swank, swank_error)
+
+
+def _set_readout(work: _Working, readout_dn: float, error: float, gain_error: float) -> None:
+    """Set the readout noise in electrons, or hold it if flat fields alone do not determine it."""
+    if not work.images.darks and error > _READOUT_ERROR:
+        work.hold("no dark images, and too small in the flat fields", "readout_electrons")
+        return
+    electrons = readout_dn * work.changes["electrons_per_dn_mm2"] * work.images.pixel_mm**2
+    work.set("readout_electrons", make_estimate(electrons, electrons * float(np.hypot(error, gain_error))))
+
+
+def _set_swank(work: _Working, swank: float, error: float) -> None:
+    """Set the Swank factor, or limit it to 1 if the noise is less than that of the photons of the spectrum model."""
+    if swank > 1.0:
+        note = f"the noise gives {swank:.3f}: the tube has a greater output than the spectrum model"
+        work.estimates["swank"] = hold_value(1.0, note)
+        work.changes["swank"] = 1.0
+    else:
+        work.set("swank", make_estimate(swank, swank * error, note="for the tube output of the spectrum model"))
+
+
+def _describe_open_beam(work: _Working, beam: BeamFit | None) -> tuple[float, float, Array]:
+    """Describe the open beam at the centre of the detector.
+
+    Return the absorbed energy in keV per pixel and mAs, the noise per signal in keV, and the derivatives (2, 3) of
+    their logarithms with respect to the logarithms of the beam parameters.
+    """
+    protocol, detector = work.technique.protocol, work.detector
+    values, technique = np.log([1.0, protocol.filtration_mm_al, detector.mg_per_cm2]), work.technique
+    if beam is not None:
+        technique = technique.replace_protocol(filtration_mm_al=beam.filtration_mm_al)
+        values = np.log([beam.kv_scale, beam.filtration_mm_al, beam.mg_per_cm2])
+    area = protocol.pixel_mm**2 * (1000.0 / protocol.sdd_mm) ** 2
+
+    def describe(logs: Array) -> Array:
+        kv_scale, filtration, mass = (float(value) for value in np.exp(logs))
+        energies, photons = filtered_spectrum(protocol.tube_kv * kv_scale, filtration, technique)
+        layer = detector if detector.absorption == "all" else set_mass_per_area(detector, mass)
+        first, second = deposit_energy(layer, energies, None if detector.absorption == "all" else detector)
+        return np.log([photons @ first * area, (photons @ second) / (photons @ first)])
+
+    middle = describe(values)
+    slopes = [(describe(values + _STEP * step) - describe(values - _STEP * step)) / (2 * _STEP) for step in np.eye(3)]
+    return float(np.exp(middle[0])), float(np.exp(middle[1])), np.array(slopes).T
+
+
+def _relative_open_beam(work: _Working, shape: tuple[int, int]) -> Array:
+    """Compute the signal of the open beam relative to the centre of the detector (rows, cols)."""
+    technique = work.technique
+    if shape != (technique.protocol.rows, technique.protocol.cols):
+        technique = technique.replace_protocol(rows=shape[0], cols=shape[1])
+    bare = technique.replace_protocol(focal_spot_mm=0.0, subpixels=1, field_width_mm=0.0, field_height_mm=0.0)
+    kev = compute_primary({}, bare).kev
+    return kev / float(kev[shape[0] // 2, shape[1] // 2])
