@@ -15,7 +15,13 @@ COMMANDS = (
     "cli/measuring_commands.py",
     "cli/study_command.py",
 )
-COMMANDS += ("cli/benchmark_command.py", "cli/explore_command.py", "cli/features_command.py", "cli/predict_command.py")
+COMMANDS += (
+    "cli/benchmark_command.py",
+    "cli/calibrate_command.py",
+    "cli/explore_command.py",
+    "cli/features_command.py",
+    "cli/predict_command.py",
+)
 NOT_A_VERB = ("What", "Of", "Where", "How", "Whether", "Which", "Who", "The", "A", "An")
 PROPERTIES = {"property", "cached_property"}
 

@@ -203,18 +203,18 @@ def fit_beam(wedges: Sequence[WedgeSignals], technique: Technique, material: str
     beams = [_make_beams(wedge, technique, known, _FIRST_NODES) for wedge in wedges]
     model = _Model(_FIRST_NODES, technique.protocol.filtration_mm_al, beams, None)
     while True:
-        found, covariance = _fit_free(wedges, model, technique, start, free)
+        optimum, covariance = _fit_free(wedges, model, technique, start, free)
         errors = {i: float(np.sqrt(covariance[n, n])) / _LARGEST_ERRORS[PARAMETERS[i]] for n, i in enumerate(free)}
         worst = max(errors, key=lambda i: errors[i], default=-1)
         values = start.copy()
-        values[free] = found.x[: len(free)]
+        values[free] = optimum.x[: len(free)]
         if free and errors[worst] > 1.0:
             free.remove(worst)
         elif _is_near(np.exp(values), model):
             break
         else:
             model = _refine_model(np.exp(values), wedges, technique, known)
-    return _describe_fit(wedges, found, covariance, start, free)
+    return _describe_fit(wedges, optimum, covariance, start, free)
 
 
 def _is_near(values: Array, model: _Model) -> bool:
@@ -258,21 +258,21 @@ def _fit_free(
     begin += [float(wedge.log_signal[wedge.path_mm.argmin()]) for wedge in wedges]
     low = [*(bounds[i, 0] for i in free), *(np.full(len(wedges), -np.inf))]
     high = [*(bounds[i, 1] for i in free), *(np.full(len(wedges), np.inf))]
-    found = least_squares(residuals, begin, bounds=(low, high), x_scale="jac", diff_step=_STEP)
-    return found, compute_covariance(found.jac)[: len(free), : len(free)]
+    optimum = least_squares(residuals, begin, bounds=(low, high), x_scale="jac", diff_step=_STEP)
+    return optimum, compute_covariance(optimum.jac)[: len(free), : len(free)]
 
 
 def _describe_fit(
-    wedges: Sequence[WedgeSignals], found: OptimizeResult, covariance: Array, start: Array, free: Sequence[int]
+    wedges: Sequence[WedgeSignals], optimum: OptimizeResult, covariance: Array, start: Array, free: Sequence[int]
 ) -> BeamFit:
     """Collect the values, covariance and residuals of a fit."""
     values = start.copy()
-    values[list(free)] = found.x[: len(free)]
+    values[list(free)] = optimum.x[: len(free)]
     whole = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     whole[np.ix_(free, free)] = covariance
     errors = np.array([wedge.error for wedge in wedges])
-    scaled = found.fun.reshape(errors.shape)
-    chi2 = float((scaled**2).sum() / max(1, scaled.size - len(found.x)))
+    scaled = optimum.fun.reshape(errors.shape)
+    chi2 = float((scaled**2).sum() / max(1, scaled.size - len(optimum.x)))
     # Deviations beyond the statistical error, for example by scatter, increase the errors of the parameters.
     whole *= max(1.0, chi2)
     kv_scale, filtration, mass = (float(value) for value in np.exp(values))
@@ -363,11 +363,11 @@ def filtered_spectrum(tube_kv: float, filtration_mm_al: float, technique: Techni
     """
     protocol = technique.protocol
     known = _tube_spectrum(tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
-    energies, photons = known["energies_kev"], known["photons"]
+    energies, photons = split_at_detector_edges(known["energies_kev"], known["photons"], technique.detector)
     depth = attenuation_per_mm(_ALUMINIUM, energies) * (filtration_mm_al - protocol.filtration_mm_al)
     for name, mm in protocol.filters:
         depth = depth + mm * attenuation_per_mm(technique.material(name), energies)
-    return split_at_detector_edges(energies, photons * np.exp(-depth), technique)
+    return energies, photons * np.exp(-depth)
 
 
 @lru_cache(maxsize=256)

@@ -112,7 +112,7 @@ class CalibrationImages:
         for mas in self.flat_mas:
             require_in_range("mas", mas, 1e-6, 1e6, "mAs")
         if not (self.darks or self.flats or self.edge is not None or self.wedges):
-            raise InputError("calibration needs dark images, flat fields, an edge or a wedge, got none")
+            raise InputError(f"images must include a dark image, flat field, edge or wedge, got {self.darks}")
         self._check_wedges()
 
     def _check_wedges(self) -> None:

@@ -49,6 +49,8 @@ class Calibration:
         Signal of the flat fields.
     spectra : FlatSpectra or None
         Noise power spectra of the flat fields.
+    noise_per_signal_dn : float
+        Variance of a pixel divided by its signal at frequency 0, in DN; 0 without flat fields.
     edge : EdgeMtf or None
         Measured MTF.
     wedges : tuple of WedgeSignals
@@ -62,6 +64,7 @@ class Calibration:
     estimates: Mapping[str, Estimate]
     response: SignalResponse | None = None
     spectra: FlatSpectra | None = None
+    noise_per_signal_dn: float = 0.0
     edge: EdgeMtf | None = None
     wedges: tuple[WedgeSignals, ...] = ()
     beam: BeamFit | None = None
@@ -130,15 +133,22 @@ def calibrate_detector(images: CalibrationImages, protocol: Protocol, name: str 
     spectra = _measure_spectra(work, response)
     edge = _calibrate_edge(work)
     wedges, beam = _calibrate_beam(work)
-    _calibrate_gain(work, response, spectra, beam)
+    noise_per_signal = _calibrate_gain(work, response, spectra, beam)
     detector = replace(work.detector, name=name)
-    beam_changes = {key: work.estimates[key].value for key in ("tube_kv", "filtration_mm_al")}
+    tube_kv, filtration = (work.estimates[key].value for key in ("tube_kv", "filtration_mm_al"))
     return Calibration(
         detector=detector,
-        protocol=replace(protocol, pixel_mm=images.pixel_mm, detector=detector, **beam_changes),
+        protocol=replace(
+            protocol,
+            pixel_mm=images.pixel_mm,
+            detector=detector,
+            tube_kv=tube_kv,
+            filtration_mm_al=filtration,
+        ),
         estimates=work.estimates,
         response=response,
         spectra=spectra,
+        noise_per_signal_dn=noise_per_signal,
         edge=edge,
         wedges=wedges,
         beam=beam,
@@ -251,13 +261,13 @@ def _remove_blur(signal: NDArray[np.float32], work: _Working) -> Array:
 
 def _calibrate_gain(
     work: _Working, response: SignalResponse | None, spectra: FlatSpectra | None, beam: BeamFit | None
-) -> None:
-    """Estimate gain, noise and Swank factor, for which the beam must be known."""
+) -> float:
+    """Estimate gain, noise and Swank factor, for which the beam must be known; return the noise per signal in DN."""
     work.hold("images contain no electrons, only DN", "electrons_per_kev")
     if response is None or spectra is None:
         work.hold("no flat fields", "electrons_per_dn_mm2", "swank", "ntf_f0_per_mm", "ntf_power", "gain_variation")
         work.hold("no flat fields" if work.images.darks else "no dark images", "readout_electrons")
-        return
+        return 0.0
     dark = estimate_dark_noise(work.images.darks).noise_dn if work.images.darks else None
     start = work.technique.detector
     known = None
@@ -282,6 +292,7 @@ def _calibrate_gain(
     towards = slopes[1] - slopes[0]
     swank_error = float(np.sqrt(slope_error**2 + errors[0] ** 2 + towards @ covariance @ towards))
     _set_swank(work, swank, swank_error)
+    return fit.noise_per_signal_dn
 
 
 def _set_readout(work: _Working, readout_dn: float, error: float, gain_error: float) -> None:
@@ -335,4 +346,4 @@ def _relative_open_beam(work: _Working, shape: tuple[int, int]) -> Array:
         technique = technique.replace_protocol(rows=shape[0], cols=shape[1])
     bare = technique.replace_protocol(focal_spot_mm=0.0, subpixels=1, field_width_mm=0.0, field_height_mm=0.0)
     kev = compute_primary({}, bare).kev
-    return kev / float(kev[shape[0] // 2, shape[1] // 2])
+    return np.asarray(kev / float(kev[shape[0] // 2, shape[1] // 2]), np.float64)

@@ -16,6 +16,8 @@ from .estimate import Estimate, make_estimate
 _DEFECT_DEVIATIONS = 8.0
 # Variance of rounding to whole numbers, in DN2.
 ROUNDING_VARIANCE = 1.0 / 12.0
+# Standard deviation below which rounding to whole numbers hides the noise, in DN.
+_ROUNDED_DN = 0.3
 # Ratio of the spatial to the temporal variance above which the pixels have different offsets.
 _PATTERN_RATIO = 1.05
 # Step of the numerical derivative of the log-likelihood, relative to the standard deviation.
@@ -99,7 +101,10 @@ def _fit_rounded_normal(values: NDArray[np.int64]) -> tuple[float, float, Array]
                 cost(best + np.eye(2)[i] * steps[i] * a + np.eye(2)[j] * steps[j] * b) for a in (1, -1) for b in (1, -1)
             ]
             hessian[i, j] = (corners[0] - corners[1] - corners[2] + corners[3]) / (4 * steps[i] * steps[j])
-    covariance = np.linalg.inv(hessian)
+    covariance = np.linalg.pinv(hessian)
     covariance[:, 1] *= sd
     covariance[1] *= sd
-    return float(best[0]), sd, covariance
+    if sd < _ROUNDED_DN or covariance[0, 0] <= 0 or covariance[1, 1] <= 0:
+        # Values that are nearly all equal after rounding determine the mean and the noise only to a fraction of 1 DN.
+        covariance = np.diag([ROUNDING_VARIANCE, sd**2])
+    return float(best[0]), sd, np.asarray(covariance, np.float64)

@@ -132,15 +132,15 @@ def fit_mtf(edge: EdgeMtf, start: tuple[float, float]) -> MtfFit:
         return np.asarray((mtf - scale / (1 + (frequency / f0) ** power)) / error)
 
     begin = np.append(np.log(start), 0.0)
-    found = least_squares(residuals, begin, bounds=(begin - _FIT_RANGE, begin + _FIT_RANGE), x_scale="jac")
+    optimum = least_squares(residuals, begin, bounds=(begin - _FIT_RANGE, begin + _FIT_RANGE), x_scale="jac")
     band = np.minimum((frequency / frequency[-1] * _BANDS).astype(int), _BANDS - 1)
     count = np.bincount(band)
-    difference = np.bincount(band, found.fun * error) / count
+    difference = np.bincount(band, optimum.fun * error) / count
     in_errors = difference / (np.bincount(band, error) / count / np.sqrt(count))
     worst = int(np.abs(difference).argmax())
-    f0, power, _ = (float(value) for value in np.exp(found.x))
+    f0, power, _ = (float(value) for value in np.exp(optimum.x))
     return MtfFit(
-        f0, power, compute_covariance(found.jac)[:2, :2], float(abs(difference[worst])), float(abs(in_errors[worst]))
+        f0, power, compute_covariance(optimum.jac)[:2, :2], float(abs(difference[worst])), float(abs(in_errors[worst]))
     )
 
 

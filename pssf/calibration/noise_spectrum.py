@@ -7,6 +7,8 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from ..core.checks import Array
+from ..detector.detector_blur import compute_transfer
+from ..model.detector import Detector
 from .dark_noise import ROUNDING_VARIANCE
 from .estimate import compute_covariance
 
@@ -122,6 +124,31 @@ def _measure_pattern(transforms: Sequence[Array], means: Sequence[float], high: 
     return float(np.average(products, weights=weights)), float(weights.sum() ** -0.5)
 
 
+def predict_power(detector: Detector, spectra: FlatSpectra, pixel_mm: float, noise_per_signal_dn: float) -> Array:
+    """Predict the noise power of flat fields from the properties of a detector.
+
+    Parameters
+    ----------
+    detector : Detector
+        Detector with NTF, readout noise and gain variation.
+    spectra : FlatSpectra
+        Frequencies and mean signals.
+    pixel_mm : float
+        Pixel pitch, in mm.
+    noise_per_signal_dn : float
+        Variance of a pixel divided by its signal at frequency 0, in DN.
+
+    Returns
+    -------
+    (flats, rings) float64 array
+        Noise power divided by the pixel area, in DN2 per pixel.
+    """
+    signal = spectra.mean_dn[:, None]
+    ntf = compute_transfer(detector, spectra.frequency_per_mm, "ntf")
+    readout = (detector.readout_electrons / (detector.electrons_per_dn_mm2 * pixel_mm**2)) ** 2 + ROUNDING_VARIANCE
+    return np.asarray(noise_per_signal_dn * signal * ntf**2 + readout + (detector.gain_variation * signal) ** 2)
+
+
 class NoiseFit(NamedTuple):
     """Parameters of the quantum noise.
 
@@ -188,8 +215,8 @@ def fit_noise(spectra: FlatSpectra, readout_dn: tuple[float, float] | None, star
         return np.append(terms, (logs[3] - np.log(readout_dn[0])) / readout_dn[1])
 
     begin = np.log([first, *start, max(guess, 1e-3)])
-    found = least_squares(residuals, begin, bounds=(begin - _FIT_RANGE, begin + _FIT_RANGE), x_scale="jac")
+    optimum = least_squares(residuals, begin, bounds=(begin - _FIT_RANGE, begin + _FIT_RANGE), x_scale="jac")
     free = max(1, spectra.power_dn2.size - 4)
-    chi2 = float((found.fun[: spectra.power_dn2.size] ** 2).sum()) / free
-    values = (float(value) for value in np.exp(found.x))
-    return NoiseFit(*values, float(np.sqrt(pattern)), compute_covariance(found.jac), chi2)
+    chi2 = float((optimum.fun[: spectra.power_dn2.size] ** 2).sum()) / free
+    per_signal, f0, power, readout = (float(value) for value in np.exp(optimum.x))
+    return NoiseFit(per_signal, f0, power, readout, float(np.sqrt(pattern)), compute_covariance(optimum.jac), chi2)

@@ -112,8 +112,8 @@ def _require_increase(mas: Array, signal: Array) -> None:
 def _make_response(mas: Array, signal: Array) -> tuple[float, tuple[tuple[float, float], ...]]:
     """Make a response curve through the flat fields; return the linear signal per mAs and the curve.
 
-    The linear signal equals the recorded signal at the lowest exposure. Beyond the highest exposure, the curve continues
-    as a straight line.
+    The linear signal equals the recorded signal at the lowest exposure. Beyond the highest exposure, the curve
+    continues as a straight line.
     """
     levels = np.unique(mas)
     recorded = np.array([signal[mas == level].mean() for level in levels])

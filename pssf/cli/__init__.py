@@ -6,6 +6,7 @@ benchmark_command   benchmark
 study_command       study
 predict_command     predict
 features_command    features
+calibrate_command   calibrate
 measuring_commands  validate, quality, compare-patients, separability, protocols, knees
 explore_command     explore
 shared_options      options common to several commands
@@ -24,6 +25,7 @@ import typer
 
 from . import making_commands, measuring_commands
 from .benchmark_command import benchmark
+from .calibrate_command import calibrate
 from .dataset_command import dataset_app
 from .explore_command import explore
 from .features_command import features
@@ -70,6 +72,7 @@ _COMMANDS = (
         measuring_commands.protocols,
         measuring_commands.knees,
     ),
+    calibrate,
     explore,
 )
 

@@ -27,6 +27,6 @@ def require_extra() -> None:
     InputError
         If a library is missing. The message contains the name of the library.
     """
-    missing = [name for name in ("starlette", "uvicorn", "tomli_w") if find_spec(name) is None]
+    missing = [name for name in ("starlette", "uvicorn") if find_spec(name) is None]
     if missing:
         raise InputError(f"pssf explore requires {', '.join(missing)}, not installed: run pip install 'pssf[explore]'")

@@ -15,7 +15,7 @@ from ..model.detector import Detector
 from ..xray.materials import attenuation_per_mm
 from ..xray.resolved_technique import Technique
 from ..xray.scintillator_response import compute_deposited_energy
-from ..xray.spectrum import Beam, compute_beam
+from ..xray.spectrum import compute_beam
 
 # Rest energy of an electron, in keV.
 _ELECTRON_KEV = 510.99895
@@ -41,8 +41,7 @@ def convert_to_fitted_detector(transmission: Array, technique: Technique) -> Arr
     fitted = make_fitted_detector(technique)
     if _responds_as(technique.detector, fitted):
         return transmission
-    beam = compute_beam(technique)
-    own, other = (_log_transmissions(beam, detector, technique) for detector in (technique.detector, fitted))
+    own, other = (_log_transmissions(detector, technique) for detector in (technique.detector, fitted))
     # The logarithms decrease with thickness, and `numpy.interp` needs increasing values.
     return np.asarray(np.exp(np.interp(np.log(transmission), own[::-1], other[::-1])))
 
@@ -74,7 +73,7 @@ def compute_detector_factor(log_transmission: float, gap_mm: float, technique: T
     if _responds_as(technique.detector, fitted):
         return 1.0
     beam = compute_beam(technique)
-    thickness_mm = np.interp(-log_transmission, -_log_transmissions(beam, fitted, technique), _MUSCLE_MM)
+    thickness_mm = np.interp(-log_transmission, -_log_transmissions(fitted, technique), _MUSCLE_MM)
     muscle_per_mm = attenuation_per_mm(technique.material("muscle"), beam.energies_kev)
     photons = beam.photons_per_mm2 * np.exp(-muscle_per_mm * thickness_mm * constants.muscle_share)
     kev = beam.energies_kev / (1 + beam.energies_kev / _ELECTRON_KEV * constants.one_minus_cosine)
@@ -136,10 +135,11 @@ def _responds_as(detector: Detector, fitted: Detector) -> bool:
     return first == second
 
 
-def _log_transmissions(beam: Beam, detector: Detector, technique: Technique) -> NDArray[np.float64]:
+def _log_transmissions(detector: Detector, technique: Technique) -> NDArray[np.float64]:
     """Compute the logarithm of the transmission (thicknesses,) of muscle for a detector."""
+    beam = compute_beam(replace(technique, detector=detector))
     mu = attenuation_per_mm(technique.material("muscle"), beam.energies_kev)
-    signal = beam.photons_per_mm2 * compute_deposited_energy(detector, beam.energies_kev)[0]
+    signal = beam.photons_per_mm2 * beam.signal_kev
     # The lowest attenuation is factored out, so that the logarithm stays finite behind metres of muscle.
     least = float(mu[signal > 0].min())
     passed = np.exp(-(mu - least) * _MUSCLE_MM[:, None]) @ signal / signal.sum()

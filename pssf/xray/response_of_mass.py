@@ -9,8 +9,8 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from ..core.checks import InputError
-from ..model.detector import Detector, load_detectors
+from ..core.checks import Array, InputError
+from ..model.detector import Detector
 from .scintillator_response import ScintillatorResponse, load_scintillator_response
 
 # Mass per area of the simulated layers, in mg/cm2. Between them, a cubic spline of the logarithm deviates from the
@@ -37,21 +37,21 @@ def set_mass_per_area(detector: Detector, mg_per_cm2: float) -> Detector:
     return replace(detector, thickness_mm=float(f"{thickness_mm:.12g}"))
 
 
-def make_node_detectors(formula: str) -> list[Detector]:
+def make_node_detectors(detector: Detector) -> tuple[Detector, ...]:
     """Make the detectors whose responses are interpolated.
 
     Parameters
     ----------
-    formula : str
-        Chemical formula of the scintillator.
+    detector : Detector
+        Detector with the material of the scintillator.
 
     Returns
     -------
-    list of Detector
+    tuple of Detector
         Detectors that differ only in the mass of scintillator per area, in increasing order.
     """
-    detector = replace(load_detectors()["csi"], formula=formula, cover=(), escape="simulated")
-    return [set_mass_per_area(detector, mass) for mass in NODES_MG_PER_CM2]
+    solid = replace(detector, density_g_per_cm3=1.0, packing=1.0, cover=(), absorption="layer", escape="simulated")
+    return tuple(replace(solid, thickness_mm=mass / 100.0) for mass in NODES_MG_PER_CM2)
 
 
 def interpolate_response(detector: Detector, anchor: Detector | None = None) -> ScintillatorResponse:
@@ -80,7 +80,7 @@ def interpolate_response(detector: Detector, anchor: Detector | None = None) -> 
     mass, (least, most) = detector.mg_per_cm2, (NODES_MG_PER_CM2[0], NODES_MG_PER_CM2[-1])
     if not least * 0.999 <= mass <= most * 1.001:
         raise InputError(f"mass per area must be between {least:g} and {most:g} mg/cm2, got {mass:g} mg/cm2")
-    energies, spline = _fit_splines(detector.formula)
+    energies, spline = _fit_splines(make_node_detectors(detector))
     mean, square = spline(np.log(mass))
     if anchor is not None:
         exact, near = load_scintillator_response(anchor), spline(np.log(anchor.mg_per_cm2))
@@ -89,8 +89,8 @@ def interpolate_response(detector: Detector, anchor: Detector | None = None) -> 
 
 
 @lru_cache(maxsize=8)
-def _fit_splines(formula: str) -> tuple[np.ndarray, CubicSpline]:
+def _fit_splines(nodes: tuple[Detector, ...]) -> tuple[Array, CubicSpline]:
     """Fit splines of the logarithm of the mass per area to the responses (nodes, 2, energies) of a material."""
-    layers = [load_scintillator_response(node) for node in make_node_detectors(formula)]
+    layers = [load_scintillator_response(node) for node in nodes]
     values = np.array([(layer.mean, layer.square) for layer in layers])
     return layers[0].energies_kev, CubicSpline(np.log(NODES_MG_PER_CM2), values)

@@ -222,7 +222,7 @@ def response_origin(detector: Detector) -> CacheKey:
     CacheKey
         Key of the stored response.
     """
-    facts = repr((detector.formula, detector.mg_per_cm2)).encode()
+    facts = f"{detector.formula} {detector.mg_per_cm2:.9g}".encode()
     return CacheKey(sources=_SOURCES, libraries=("xraylib", "numba"), facts=facts)
 
 

@@ -10,6 +10,7 @@ from scipy.interpolate import CubicSpline
 from ..core.checks import Array
 from ..data.array_cache import Arrays, CacheKey, load_or_make_arrays
 from ..model.detector import Detector
+from ..model.protocol import Protocol
 from .materials import (
     Material,
     absorption_edges_kev,
@@ -28,6 +29,8 @@ _PATH_STEP_MM = 20.0
 _BIN_KEV = 0.5
 # Width of the energy bins if the scene has an absorption edge within the spectrum, in keV.
 _FINE_KEV = 0.1
+# Width of bins, in keV, up to which the bins of a spectrum of the user are split at edges of the scintillator.
+_LARGEST_BIN_KEV = 1.0
 # Photons per mm2 and mAs of a monochromatic beam at 1 m.
 _MONO_PHOTONS_PER_MM2_MAS = 1e6
 # Number of evenly spaced interpolation nodes of the heel effect along the anode-cathode axis.
@@ -83,32 +86,31 @@ def compute_beam(technique: Technique, materials: Iterable[Material] = ()) -> Be
     if protocol.mono_kev is not None:
         energies, photons = np.array([protocol.mono_kev]), np.array([_MONO_PHOTONS_PER_MM2_MAS])
         return Beam(energies, photons * protocol.mas, *compute_deposited_energy(technique.detector, energies))
-    energies, photons = split_at_detector_edges(*compute_source_spectrum(technique), technique)
+    energies, photons = compute_source_spectrum(technique)
     response = compute_deposited_energy(technique.detector, energies)
     filters = [technique.material(name) for name, _ in protocol.filters]
     edges = [edge for edge in absorption_edges_kev([*materials, *filters]) if energies[0] < edge < energies[-1]]
     if edges and protocol.spectrum is None:
         signal = (photons * response[0]).sum()
-        fine = replace(technique, protocol=replace(protocol, filters=()))
         edges += _detector_edges_kev(technique.detector)
-        energies, photons = _split_bins(*compute_source_spectrum(fine, bin_kev=_FINE_KEV), edges, _FINE_KEV)
+        energies, photons = _split_bins(*_tube_spectrum(protocol, bin_kev=_FINE_KEV), edges, _FINE_KEV)
         photons = photons * _filter_transmission(technique, energies)
         response = compute_deposited_energy(technique.detector, energies)
         photons = photons * (signal / (photons * response[0]).sum())
     return Beam(energies, photons * protocol.mas, *response)
 
 
-def split_at_detector_edges(energies_kev: Array, photons: Array, technique: Technique) -> tuple[Array, Array]:
-    """Split the bins of a tube spectrum that contain an absorption edge of the scintillator.
+def split_at_detector_edges(energies_kev: Array, photons: Array, detector: Detector) -> tuple[Array, Array]:
+    """Split the bins of a spectrum that contain an absorption edge of a scintillator.
 
     Parameters
     ----------
     energies_kev : (bins,) array, keV
-        Centres of bins of 0.5 keV.
+        Centres of the bins. Lines or bins of unequal or large width are not split.
     photons : (bins,) array, any unit
         Photons per bin.
-    technique : Technique
-        Resolved protocol with the detector. A monochromatic beam and a spectrum of the user are not split.
+    detector : Detector
+        Detector with the scintillator.
 
     Returns
     -------
@@ -117,9 +119,10 @@ def split_at_detector_edges(energies_kev: Array, photons: Array, technique: Tech
     photons : (parts,) float64 array
         Photons per bin, in the unit of `photons`.
     """
-    if technique.protocol.mono_kev is not None or technique.protocol.spectrum is not None:
+    steps, edges = np.diff(energies_kev), _detector_edges_kev(detector)
+    if not edges or len(steps) < 2 or steps.max() > min(_LARGEST_BIN_KEV, 1.001 * steps.min()):
         return energies_kev, photons
-    return _split_bins(energies_kev, photons, _detector_edges_kev(technique.detector), _BIN_KEV)
+    return _split_bins(energies_kev, photons, edges, float(steps.mean()))
 
 
 def _detector_edges_kev(detector: Detector) -> list[float]:
@@ -230,9 +233,15 @@ def compute_source_spectrum(
     if protocol.spectrum is not None:
         energies, photons = np.array(protocol.spectrum).T
     else:
-        tube = (protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
-        energies, photons = tube_spectrum(*tube, off_axis=off_axis, bin_kev=bin_kev)
+        energies, photons = _tube_spectrum(protocol, off_axis, bin_kev)
+    energies, photons = split_at_detector_edges(energies, photons, technique.detector)
     return energies, photons * _filter_transmission(technique, energies)
+
+
+def _tube_spectrum(protocol: Protocol, off_axis: float = 0.0, bin_kev: float = _BIN_KEV) -> tuple[Array, Array]:
+    """Compute the spectrum of a protocol behind its aluminium: energies (bins,) in keV, photons per mm2 and mAs."""
+    tube = (protocol.tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
+    return tube_spectrum(*tube, off_axis=off_axis, bin_kev=bin_kev)
 
 
 def _filter_transmission(technique: Technique, energies_kev: Array) -> Array:

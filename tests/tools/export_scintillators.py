@@ -11,9 +11,9 @@ from pssf.xray.scintillator_response import response_name, response_origin, simu
 
 
 def main() -> None:
-    """Simulate the responses of all detectors, and of the layers that are interpolated, and replace their files in the package."""
+    """Replace the responses of all detectors, and of the layers between which responses are interpolated."""
     known = [load_detectors()[name] for name in ("csi", "gos")]
-    for detector in (*known, *(node for each in known for node in make_node_detectors(each.formula))):
+    for detector in (*known, *(node for each in known for node in make_node_detectors(each))):
         save_to_package(response_name(detector), response_origin(detector), simulate_response_arrays(detector))
 
 

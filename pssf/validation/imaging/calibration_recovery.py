@@ -260,12 +260,12 @@ def compare_calibration(result: Calibration, blind: BlindDetector) -> Row:
         the contrast of 10 mm of bone in 110 mm of muscle. ``intervals`` and ``intervals_hold`` count the 95 % intervals
         and those that contain the truth.
     """
-    true, found = resolve_technique(blind.protocol), resolve_technique(result.protocol)
+    true, calibrated = resolve_technique(blind.protocol), resolve_technique(result.protocol)
     nyquist = 0.5 / _PIXEL_MM
     frequency = np.linspace(0.02, 0.8, 40) * nyquist
-    mtfs = [compute_transfer(one.detector, frequency) for one in (found, true)]
+    mtfs = [compute_transfer(one.detector, frequency) for one in (calibrated, true)]
     all_frequencies = np.linspace(0.05, 1.0, 40) * nyquist
-    noise = [model_nnps(one, all_frequencies, _BRIGHT_DN) for one in (found, true)]
+    noise = [model_nnps(one, all_frequencies, _BRIGHT_DN) for one in (calibrated, true)]
     row: Row = {
         "formula": true.detector.formula,
         "mtf_percent": round(float(100 * np.abs(mtfs[0] / mtfs[1] - 1).max()), 2),
@@ -277,7 +277,7 @@ def compare_calibration(result: Calibration, blind: BlindDetector) -> Row:
         estimate = result.estimates[name]
         row[f"{name}_percent"] = round(100 * (estimate.value / truth - 1), 3)
         held += estimate.low <= truth <= estimate.high
-    contrasts = [_bone_contrast(one) for one in (found, true)]
+    contrasts = [_bone_contrast(one) for one in (calibrated, true)]
     row["contrast_percent"] = round(100 * (contrasts[0] / contrasts[1] - 1), 2)
     row["intervals"], row["intervals_hold"] = len(truths), int(held)
     row["outside"] = " ".join(
