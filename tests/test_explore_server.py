@@ -513,7 +513,7 @@ def test_the_error_for_a_missing_extra_names_its_packages(monkeypatch):
     from pssf import explore
 
     monkeypatch.setattr(explore, "find_spec", lambda name: None)
-    with pytest.raises(InputError, match=r"explore requires starlette, uvicorn, tomli_w, not installed"):
+    with pytest.raises(InputError, match=r"explore requires starlette, uvicorn, not installed"):
         explore.require_extra()
 
 

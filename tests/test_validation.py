@@ -97,7 +97,7 @@ def test_the_validation_figure_is_a_png():
 
 
 def test_a_smaller_spectrum_tolerance_needs_more_energies_and_is_met():
-    rows = stage_times.measure_spectrum_nodes((1e-2, 5e-4, 1e-5))
+    rows = stage_times.measure_spectrum_nodes((1e-2, 1e-4, 1e-6))
     assert [row["used"] for row in rows] == [False, True, False]
     assert rows[0]["nodes"] < rows[1]["nodes"] < rows[2]["nodes"]
     for row in rows:
