@@ -10,6 +10,7 @@ import tomli_w
 from ..io.atomic_write import write_bytes
 from ..io.cohort_records import write_csv
 from .calibration_run import Calibration
+from .estimate import make_estimate_rows
 
 
 def write_calibration(calibration: Calibration, path: Path) -> list[Path]:
@@ -33,39 +34,13 @@ def write_calibration(calibration: Calibration, path: Path) -> list[Path]:
     write_bytes(paths[0], _format_toml(asdict(calibration.detector)))
     protocol = {**asdict(calibration.protocol), "detector": path.name, "name": stem.name}
     write_bytes(paths[1], _format_toml(protocol))
-    write_csv(paths[2], make_estimate_rows(calibration))
+    write_csv(paths[2], make_estimate_rows(calibration.estimates))
     if find_spec("matplotlib") and find_spec("jinja2"):
         from .calibration_page import render_calibration_page
 
         paths.append(stem.with_name(stem.name + "_page.html"))
         write_bytes(paths[-1], render_calibration_page(calibration).encode())
     return paths
-
-
-def make_estimate_rows(calibration: Calibration) -> list[dict[str, Any]]:
-    """Make the table of estimates.
-
-    Parameters
-    ----------
-    calibration : Calibration
-        Result of a calibration.
-
-    Returns
-    -------
-    list of dict
-        One row per value, with its 95 % interval, which is empty for a held value.
-    """
-    return [
-        {
-            "name": name,
-            "value": f"{one.value:.6g}",
-            "low": f"{one.low:.6g}" if one.source == "measured" else "",
-            "high": f"{one.high:.6g}" if one.source == "measured" else "",
-            "source": one.source,
-            "note": one.note,
-        }
-        for name, one in calibration.estimates.items()
-    ]
 
 
 def _format_toml(table: dict[str, Any]) -> bytes:

@@ -10,8 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from ..detector.detector_blur import compute_transfer
-from .calibration_files import make_estimate_rows
 from .calibration_run import Calibration
+from .estimate import make_estimate_rows
 from .noise_spectrum import predict_power
 
 
@@ -40,7 +40,7 @@ def render_calibration_page(calibration: Calibration) -> str:
     ]
     environment = jinja2.Environment(loader=jinja2.PackageLoader(__package__, "."), autoescape=True, trim_blocks=True)
     return environment.get_template("calibration.html.j2").render(
-        name=calibration.detector.name, rows=make_estimate_rows(calibration), plots=plots
+        name=calibration.detector.name, rows=make_estimate_rows(calibration.estimates), plots=plots
     )
 
 

@@ -1,5 +1,6 @@
 """Define an estimated value with its confidence interval."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,6 +96,32 @@ def hold_value(value: float, note: str) -> Estimate:
         Value without interval.
     """
     return Estimate(value=value, low=value, high=value, source="held", note=note)
+
+
+def make_estimate_rows(estimates: Mapping[str, Estimate]) -> list[dict[str, str]]:
+    """Make a table of estimates.
+
+    Parameters
+    ----------
+    estimates : mapping of str to Estimate
+        Estimates by name.
+
+    Returns
+    -------
+    list of dict
+        One row per value, with its 95 % interval, which is empty for a held value.
+    """
+    return [
+        {
+            "name": name,
+            "value": f"{one.value:.6g}",
+            "low": f"{one.low:.6g}" if one.source == "measured" else "",
+            "high": f"{one.high:.6g}" if one.source == "measured" else "",
+            "source": one.source,
+            "note": one.note,
+        }
+        for name, one in estimates.items()
+    ]
 
 
 def compute_covariance(jacobian: Array) -> Array:
