@@ -206,6 +206,14 @@ def test_without_a_wedge_the_beam_is_held(images, blind):
     assert estimates["mtf_f0_per_mm"].source == "measured"
 
 
+def test_flat_fields_may_be_smaller_than_the_wedge_images(images, blind, calibration):
+    small = tuple(flat[384:640, 384:640] for flat in images.flats)
+    result = calibrate_detector(dataclasses.replace(images, flats=small, darks=images.darks), blind.nominal)
+    for name in ("tube_kv", "filtration_mm_al", "thickness_mm"):
+        one, other = result.estimates[name], calibration.estimates[name]
+        assert_allclose(one.value, other.value, rtol=1e-4)
+
+
 def test_each_kind_of_image_alone_is_enough(images, blind):
     for kept in ("darks", "edge"):
         alone = CalibrationImages(pixel_mm=PIXEL_MM, **{kept: getattr(images, kept)})

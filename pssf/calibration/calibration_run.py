@@ -228,8 +228,10 @@ def _calibrate_beam(work: _Working) -> tuple[tuple[WedgeSignals, ...], BeamFit |
     wedges = []
     for wedge in images.wedges:
         signal = _remove_blur(linearise_pixels(wedge.image, work.detector), work)
+        rows, cols = wedge.image.shape
+        view = work.technique.replace_protocol(rows=rows, cols=cols).view
         beam = _relative_open_beam(work, wedge.image.shape)
-        wedges.append(measure_wedge(signal, beam, images.steps, work.technique.view, wedge.tube_kv))
+        wedges.append(measure_wedge(signal, beam, images.steps, view, wedge.tube_kv))
     fit = fit_beam(wedges, work.technique, images.step_material)
     errors = np.sqrt(np.diag(fit.covariance))
     nominal = (protocol.tube_kv, 1.0, 1.0)
