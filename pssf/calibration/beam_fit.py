@@ -16,7 +16,7 @@ from ..xray.materials import Material, attenuation_per_mm, parse_compound
 from ..xray.resolved_technique import Technique
 from ..xray.response_of_mass import NODES_MG_PER_CM2, interpolate_response, set_mass_per_area
 from ..xray.scintillator_response import compute_deposited_energy
-from ..xray.spectrum import compute_tube_spectrum, split_at_detector_edges
+from ..xray.spectrum import compute_filter_transmission, compute_tube_spectrum, split_at_detector_edges
 from .calibration_images import Step
 from .estimate import compute_covariance
 
@@ -206,15 +206,21 @@ def fit_beam(wedges: Sequence[WedgeSignals], technique: Technique, material: str
         optimum, covariance = _fit_free(wedges, model, technique, start, free)
         errors = {i: float(np.sqrt(covariance[n, n])) / _LARGEST_ERRORS[PARAMETERS[i]] for n, i in enumerate(free)}
         worst = max(errors, key=lambda i: errors[i], default=-1)
-        values = start.copy()
-        values[free] = optimum.x[: len(free)]
+        values = _merge_values(start, optimum.x, free)
         if free and errors[worst] > 1.0:
             free.remove(worst)
         elif _is_near(np.exp(values), model):
             break
         else:
             model = _refine_model(np.exp(values), wedges, technique, known)
-    return _describe_fit(wedges, optimum, covariance, start, free)
+    return _describe_fit(wedges, optimum, covariance, values, free)
+
+
+def _merge_values(start: Array, logs: Array, free: Sequence[int]) -> Array:
+    """Return the logarithms of all parameters (3,): fitted ones where they are free, and starting values elsewhere."""
+    values = start.copy()
+    values[list(free)] = logs[: len(free)]
+    return values
 
 
 def _is_near(values: Array, model: _Model) -> bool:
@@ -245,8 +251,7 @@ def _fit_free(
     """Fit the free parameters; return the result and the covariance (free, free) of their logarithms."""
 
     def residuals(logs: Array) -> Array:
-        values = start.copy()
-        values[free] = logs[: len(free)]
+        values = _merge_values(start, logs, free)
         parts = []
         for number, wedge in enumerate(wedges):
             expected = _predict_log_signals(np.exp(values), number, technique, model)
@@ -263,11 +268,9 @@ def _fit_free(
 
 
 def _describe_fit(
-    wedges: Sequence[WedgeSignals], optimum: OptimizeResult, covariance: Array, start: Array, free: Sequence[int]
+    wedges: Sequence[WedgeSignals], optimum: OptimizeResult, covariance: Array, values: Array, free: Sequence[int]
 ) -> BeamFit:
     """Collect the values, covariance and residuals of a fit."""
-    values = start.copy()
-    values[list(free)] = optimum.x[: len(free)]
     whole = np.zeros((len(PARAMETERS), len(PARAMETERS)))
     whole[np.ix_(free, free)] = covariance
     errors = np.array([wedge.error for wedge in wedges])
@@ -365,12 +368,10 @@ def filtered_spectrum(tube_kv: float, filtration_mm_al: float, technique: Techni
     known = _tube_spectrum(tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
     energies, photons = split_at_detector_edges(known["energies_kev"], known["photons"], technique.detector)
     depth = attenuation_per_mm(_ALUMINIUM, energies) * (filtration_mm_al - protocol.filtration_mm_al)
-    for name, mm in protocol.filters:
-        depth = depth + mm * attenuation_per_mm(technique.material(name), energies)
-    return energies, photons * np.exp(-depth)
+    return energies, photons * np.exp(-depth) * compute_filter_transmission(technique, energies)
 
 
 @lru_cache(maxsize=256)
 def _tube_spectrum(tube_kv: float, anode_angle_deg: float, filtration_mm_al: float) -> Mapping[str, Array]:
     """Compute a tube spectrum without writing it to the cache folder."""
-    return compute_tube_spectrum(tube_kv, anode_angle_deg, filtration_mm_al, 0.0, 0.5)
+    return compute_tube_spectrum(tube_kv, anode_angle_deg, filtration_mm_al)

@@ -125,15 +125,13 @@ def calibrate_detector(images: CalibrationImages, protocol: Protocol, name: str 
     constants in electrons. Without a wedge, the mass of scintillator, tube voltage and filtration are held. The Swank
     factor follows from the noise and from the output of the tube, which is that of the spectrum model.
     """
-    shape = _image_shape(images)
-    sized = replace(protocol, rows=shape[0], cols=shape[1], pixel_mm=images.pixel_mm)
-    work = _Working(images, resolve_technique(sized))
-    _calibrate_dark(work)
+    work = _Working(images, resolve_technique(replace(protocol, pixel_mm=images.pixel_mm)))
+    readout_dn = _calibrate_dark(work)
     response = _calibrate_signal(work)
     spectra = _measure_spectra(work, response)
     edge = _calibrate_edge(work)
     wedges, beam = _calibrate_beam(work)
-    noise_per_signal = _calibrate_gain(work, response, spectra, beam)
+    noise_per_signal = _calibrate_gain(work, readout_dn, response, spectra, beam)
     detector = replace(work.detector, name=name)
     tube_kv, filtration = (work.estimates[key].value for key in ("tube_kv", "filtration_mm_al"))
     return Calibration(
@@ -155,19 +153,14 @@ def calibrate_detector(images: CalibrationImages, protocol: Protocol, name: str 
     )
 
 
-def _image_shape(images: CalibrationImages) -> tuple[int, int]:
-    """Return the shape of the images, which the relative open beam is computed for."""
-    known = [*images.flats, *(wedge.image for wedge in images.wedges), *images.darks]
-    known += [] if images.edge is None else [images.edge]
-    return known[0].shape
-
-
-def _calibrate_dark(work: _Working) -> None:
-    """Estimate the offset; the readout noise in DN is kept until the gain is known."""
-    if work.images.darks:
-        work.set("offset_dn", estimate_dark_noise(work.images.darks).offset_dn)
-    else:
+def _calibrate_dark(work: _Working) -> Estimate | None:
+    """Estimate the offset; return the readout noise in DN, which becomes electrons when the gain is known."""
+    if not work.images.darks:
         work.hold("no dark images", "offset_dn")
+        return None
+    dark = estimate_dark_noise(work.images.darks)
+    work.set("offset_dn", dark.offset_dn)
+    return dark.noise_dn
 
 
 def _calibrate_signal(work: _Working) -> SignalResponse | None:
@@ -228,8 +221,7 @@ def _calibrate_beam(work: _Working) -> tuple[tuple[WedgeSignals, ...], BeamFit |
     wedges = []
     for wedge in images.wedges:
         signal = _remove_blur(linearise_pixels(wedge.image, work.detector), work)
-        rows, cols = wedge.image.shape
-        view = work.technique.replace_protocol(rows=rows, cols=cols).view
+        view = _resize(work.technique, wedge.image.shape).view
         beam = _relative_open_beam(work, wedge.image.shape)
         wedges.append(measure_wedge(signal, beam, images.steps, view, wedge.tube_kv))
     fit = fit_beam(wedges, work.technique, images.step_material)
@@ -262,7 +254,11 @@ def _remove_blur(signal: NDArray[np.float32], work: _Working) -> Array:
 
 
 def _calibrate_gain(
-    work: _Working, response: SignalResponse | None, spectra: FlatSpectra | None, beam: BeamFit | None
+    work: _Working,
+    readout_dn: Estimate | None,
+    response: SignalResponse | None,
+    spectra: FlatSpectra | None,
+    beam: BeamFit | None,
 ) -> float:
     """Estimate gain, noise and Swank factor, for which the beam must be known; return the noise per signal in DN."""
     work.hold("images contain no electrons, only DN", "electrons_per_kev")
@@ -270,11 +266,10 @@ def _calibrate_gain(
         work.hold("no flat fields", "electrons_per_dn_mm2", "swank", "ntf_f0_per_mm", "ntf_power", "gain_variation")
         work.hold("no flat fields" if work.images.darks else "no dark images", "readout_electrons")
         return 0.0
-    dark = estimate_dark_noise(work.images.darks).noise_dn if work.images.darks else None
     start = work.technique.detector
     known = None
-    if dark is not None:
-        known = (dark.value, max(float(np.log(dark.high / dark.low)) / 2 / 1.96, _LEAST_ERROR))
+    if readout_dn is not None:
+        known = (readout_dn.value, max(readout_dn.relative_error, _LEAST_ERROR))
     fit = fit_noise(spectra, known, (start.ntf_f0_per_mm, start.ntf_power))
     errors = np.sqrt(np.diag(fit.covariance))
     work.changes["ntf"] = None
@@ -283,7 +278,7 @@ def _calibrate_gain(
     work.changes["gain_variation"] = fit.gain_variation
     covariance = np.zeros((3, 3)) if beam is None else beam.covariance
     signal_kev, quantum_kev, slopes = _describe_open_beam(work, beam)
-    slope_error = float(np.log(response.signal_per_mas.high / response.signal_per_mas.low)) / 2 / 1.96
+    slope_error = response.signal_per_mas.relative_error
     gain_error = float(np.sqrt(slope_error**2 + slopes[0] @ covariance @ slopes[0]))
     gain = response.signal_per_mas.value / signal_kev
     note = "" if beam is not None else "for the beam of the protocol"
@@ -343,9 +338,13 @@ def _describe_open_beam(work: _Working, beam: BeamFit | None) -> tuple[float, fl
 
 def _relative_open_beam(work: _Working, shape: tuple[int, int]) -> Array:
     """Compute the signal of the open beam relative to the centre of the detector (rows, cols)."""
-    technique = work.technique
-    if shape != (technique.protocol.rows, technique.protocol.cols):
-        technique = technique.replace_protocol(rows=shape[0], cols=shape[1])
-    bare = technique.replace_protocol(focal_spot_mm=0.0, subpixels=1, field_width_mm=0.0, field_height_mm=0.0)
+    bare = _resize(work.technique, shape).replace_protocol(
+        focal_spot_mm=0.0, subpixels=1, field_width_mm=0.0, field_height_mm=0.0
+    )
     kev = compute_primary({}, bare).kev
     return np.asarray(kev / float(kev[shape[0] // 2, shape[1] // 2]), np.float64)
+
+
+def _resize(technique: Technique, shape: tuple[int, int]) -> Technique:
+    """Make a technique whose detector has the number of rows and columns of an image."""
+    return technique.replace_protocol(rows=shape[0], cols=shape[1])

@@ -33,6 +33,11 @@ class Estimate:
     source: str = "measured"
     note: str = ""
 
+    @property
+    def relative_error(self) -> float:
+        """Standard error of a positive value divided by the value."""
+        return float(np.log(self.high / self.low)) / (2 * Z_95)
+
     def scale(self, factor: float) -> "Estimate":
         """Multiply the value and its interval by a number.
 

@@ -307,7 +307,7 @@ class Protocol:
 
     @property
     def has_plain_beam(self) -> bool:
-        """Whether the beam is the computed tube spectrum behind aluminium alone."""
+        """True if the beam is the computed tube spectrum behind aluminium alone."""
         return self.mono_kev is None and self.spectrum is None and not self.filters
 
     def resample(self, matrix: int) -> "Protocol":

@@ -94,7 +94,7 @@ def compute_beam(technique: Technique, materials: Iterable[Material] = ()) -> Be
         signal = (photons * response[0]).sum()
         edges += _detector_edges_kev(technique.detector)
         energies, photons = _split_bins(*_tube_spectrum(protocol, bin_kev=_FINE_KEV), edges, _FINE_KEV)
-        photons = photons * _filter_transmission(technique, energies)
+        photons = photons * compute_filter_transmission(technique, energies)
         response = compute_deposited_energy(technique.detector, energies)
         photons = photons * (signal / (photons * response[0]).sum())
     return Beam(energies, photons * protocol.mas, *response)
@@ -235,7 +235,7 @@ def compute_source_spectrum(
     else:
         energies, photons = _tube_spectrum(protocol, off_axis, bin_kev)
     energies, photons = split_at_detector_edges(energies, photons, technique.detector)
-    return energies, photons * _filter_transmission(technique, energies)
+    return energies, photons * compute_filter_transmission(technique, energies)
 
 
 def _tube_spectrum(protocol: Protocol, off_axis: float = 0.0, bin_kev: float = _BIN_KEV) -> tuple[Array, Array]:
@@ -244,8 +244,21 @@ def _tube_spectrum(protocol: Protocol, off_axis: float = 0.0, bin_kev: float = _
     return tube_spectrum(*tube, off_axis=off_axis, bin_kev=bin_kev)
 
 
-def _filter_transmission(technique: Technique, energies_kev: Array) -> Array:
-    """Compute the transmission (bins,) of the added filters of a protocol; rays cross them at normal incidence."""
+def compute_filter_transmission(technique: Technique, energies_kev: Array) -> Array:
+    """Compute the transmission of the added filters of a protocol, which rays cross at normal incidence.
+
+    Parameters
+    ----------
+    technique : Technique
+        Resolved protocol with the filters.
+    energies_kev : (bins,) array, keV
+        Photon energies.
+
+    Returns
+    -------
+    (bins,) float64 array
+        Transmission from 0 to 1, without the total filtration in aluminium.
+    """
     depth = np.zeros(len(energies_kev))
     for name, mm in technique.protocol.filters:
         depth += mm * attenuation_per_mm(technique.material(name), energies_kev)
@@ -320,7 +333,11 @@ def tube_spectrum(
 
 
 def compute_tube_spectrum(
-    tube_kv: float, anode_angle_deg: float, filtration_mm_al: float, off_axis: float, bin_kev: float
+    tube_kv: float,
+    anode_angle_deg: float,
+    filtration_mm_al: float,
+    off_axis: float = 0.0,
+    bin_kev: float = _BIN_KEV,
 ) -> Arrays:
     """Compute a tube spectrum with SpekPy, without a cache.
 
