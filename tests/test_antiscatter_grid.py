@@ -74,7 +74,7 @@ def test_scatter_transmission_agrees_with_traced_photons_of_uniform_radiance(tec
     heights_mm = (np.arange(400) + 0.5) / 400 * height_mm
     crossed_mm = rng.random((len(down), 1)) * period_mm + heights_mm * (across / down)[:, None]
     lead_mm = (crossed_mm % period_mm < grid.lead_mm).mean(axis=1) * height_mm / down
-    lead, aluminium = antiscatter_grid._strip_attenuation_per_mm(at_60)[:, 0]
+    lead, aluminium = antiscatter_grid._strip_attenuation_per_mm(at_60.energies_kev)[:, 0]
     passed = np.exp(-lead * lead_mm - aluminium * (height_mm / down - lead_mm))
     found = compute_scatter_transmission(grid, at_60, gap_mm, technique.material("muscle"))
     assert abs(found - passed.mean()) < 4 * passed.std() / np.sqrt(len(passed))

@@ -12,6 +12,7 @@ from scipy.optimize import OptimizeResult, least_squares
 from ..core.checks import Array, InputError
 from ..geometry.view import View
 from ..model.detector import Detector
+from ..scatter.antiscatter_grid import compute_primary_transmission, make_grid
 from ..xray.materials import Material, attenuation_per_mm, parse_compound
 from ..xray.resolved_technique import Technique
 from ..xray.response_of_mass import NODES_MG_PER_CM2, interpolate_response, set_mass_per_area
@@ -346,7 +347,7 @@ def deposit_energy(detector: Detector, energies_kev: Array, anchor: Detector | N
 
 
 def filtered_spectrum(tube_kv: float, filtration_mm_al: float, technique: Technique) -> tuple[Array, Array]:
-    """Compute the spectrum behind any filtration, from that behind the filtration of the technique.
+    """Compute the spectrum behind any filtration and the grid, from that behind the filtration of the technique.
 
     Parameters
     ----------
@@ -355,7 +356,7 @@ def filtered_spectrum(tube_kv: float, filtration_mm_al: float, technique: Techni
     filtration_mm_al : float
         Total filtration, in mm aluminium.
     technique : Technique
-        Anode angle, filtration of the starting spectrum, and other filters.
+        Anode angle, filtration of the starting spectrum, other filters, and anti-scatter grid.
 
     Returns
     -------
@@ -368,7 +369,10 @@ def filtered_spectrum(tube_kv: float, filtration_mm_al: float, technique: Techni
     known = _tube_spectrum(tube_kv, protocol.anode_angle_deg, protocol.filtration_mm_al)
     energies, photons = split_at_detector_edges(known["energies_kev"], known["photons"], technique.detector)
     depth = attenuation_per_mm(_ALUMINIUM, energies) * (filtration_mm_al - protocol.filtration_mm_al)
-    return energies, photons * np.exp(-depth) * compute_filter_transmission(technique, energies)
+    photons = photons * np.exp(-depth) * compute_filter_transmission(technique, energies)
+    if protocol.grid_ratio > 0:
+        photons = photons * compute_primary_transmission(make_grid(protocol), energies)
+    return energies, photons
 
 
 @lru_cache(maxsize=256)

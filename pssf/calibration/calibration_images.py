@@ -86,6 +86,8 @@ class CalibrationImages:
         Steps of the wedge, with one of thickness 0.
     step_material : str
         Material of the wedge.
+    radiographs : tuple of (rows, cols) uint16 array
+        Linear radiographs of patients instead of flat fields, in DN. Their shapes may differ.
 
     Raises
     ------
@@ -102,6 +104,7 @@ class CalibrationImages:
     wedges: tuple[Wedge, ...] = ()
     steps: tuple[Step, ...] = ()
     step_material: str = "Al@2.70"
+    radiographs: tuple[NDArray[np.uint16], ...] = ()
 
     def __post_init__(self) -> None:
         require_in_range("pixel_mm", self.pixel_mm, 0.001, 50, "mm")
@@ -111,8 +114,17 @@ class CalibrationImages:
             raise InputError(f"mas must be one number per flat field, got {len(self.flat_mas)} for {len(self.flats)}")
         for mas in self.flat_mas:
             require_in_range("mas", mas, 1e-6, 1e6, "mAs")
-        if not (self.darks or self.flats or self.edge is not None or self.wedges):
-            raise InputError(f"images must include a dark image, flat field, edge or wedge, got {self.darks}")
+        for image in self.radiographs:
+            _require_images("radiograph", (image,))
+        if self.radiographs and self.flats:
+            raise InputError(
+                f"radiographs must be given without flat fields, got {len(self.flats)} flat fields: these determine "
+                "the noise without anatomy"
+            )
+        if not (self.darks or self.flats or self.edge is not None or self.wedges or self.radiographs):
+            raise InputError(
+                f"images must include a dark image, flat field, edge, wedge or radiograph, got {self.darks}"
+            )
         self._check_wedges()
 
     def _check_wedges(self) -> None:

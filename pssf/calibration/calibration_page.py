@@ -49,8 +49,8 @@ _SIGNAL_TEXT = (
     "to the generator; larger ones give a response curve."
 )
 _NOISE_TEXT = (
-    "Noise power of each flat field, measured and fitted, and their ratio. A ratio that differs from 1 at low "
-    "frequencies shows structure that is not noise."
+    "Noise power of each flat field, or of regions of radiographs with the same signal: measured, fitted, and their "
+    "ratio. A ratio that differs from 1 at low frequencies shows structure that is not noise."
 )
 _MTF_TEXT = "Presampled MTF of the edge and of the detector file, and their difference."
 _WEDGE_TEXT = (

@@ -22,6 +22,7 @@ _LAST_NUMBER = re.compile(r"(\d+(?:[.p]\d+)?)(?=\D*$)")
 def read_calibration_images(
     *,
     darks: Sequence[Path] = (),
+    radiographs: Sequence[Path] = (),
     flats: Sequence[Path] = (),
     flat_mas: Sequence[float] = (),
     edge: Path | None = None,
@@ -36,7 +37,7 @@ def read_calibration_images(
 
     Parameters
     ----------
-    darks, flats : sequence of Path
+    darks, radiographs, flats : sequence of Path
         TIFF, PNG or DICOM files with linear pixels. Flat fields are sorted by the numbers in their names.
     flat_mas : sequence of float
         mAs of each flat field, in the order of the sorted names.
@@ -80,6 +81,7 @@ def read_calibration_images(
         raise InputError(f"wedge-kv must be one number per wedge image, got {len(kvs)} for {len(wedges)}")
     images = {
         "darks": tuple(read(path) for path in darks),
+        "radiographs": tuple(read(path) for path in radiographs),
         "flats": tuple(read(path) for path in sorted(flats, key=natural_key)),
     }
     edge_pixels = None if edge is None else read(edge)

@@ -1,8 +1,7 @@
 """Estimate the properties of a detector and of its beam from images of flat fields, edges and wedges."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,22 +14,18 @@ from ..model.protocol import Protocol
 from ..xray.primary_beam import compute_primary
 from ..xray.resolved_technique import Technique, resolve_technique
 from ..xray.response_of_mass import set_mass_per_area
-from .beam_fit import PARAMETERS, BeamFit, WedgeSignals, deposit_energy, filtered_spectrum, fit_beam, measure_wedge
+from .beam_fit import PARAMETERS, BeamFit, WedgeSignals, fit_beam, measure_wedge
 from .calibration_images import CalibrationImages
+from .calibration_state import CalibrationState, describe_open_beam, describe_readout, set_readout
 from .dark_noise import estimate_dark_noise
 from .edge_blur import EdgeMtf, fit_mtf, make_mtf_table, measure_edge
 from .estimate import Estimate, hold_value, make_estimate
 from .noise_spectrum import FlatSpectra, fit_noise, measure_flat_spectra
+from .radiograph_calibration import calibrate_radiographs
 from .signal_response import SignalResponse, measure_signal_response
 
 # Largest deviation of the MTF from its equation, absolute and in standard errors, above which a table replaces it.
 _MTF_DEVIATION, _MTF_DEVIATION_ERRORS = 0.01, 5.0
-# Smallest relative standard error of the readout noise from dark images.
-_LEAST_ERROR = 1e-4
-# Largest relative standard error at which the readout noise is determined by flat fields alone.
-_READOUT_ERROR = 0.1
-# Step of the logarithm of a beam parameter for numerical derivatives.
-_STEP = 0.005
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,9 +43,9 @@ class Calibration:
     response : SignalResponse or None
         Signal of the flat fields.
     spectra : FlatSpectra or None
-        Noise power spectra of the flat fields.
+        Noise power spectra of the flat fields, or of homogeneous regions of radiographs.
     noise_per_signal_dn : float
-        Variance of a pixel divided by its signal at frequency 0, in DN; 0 without flat fields.
+        Variance of a pixel divided by its signal at frequency 0 in the open beam, in DN; 0 if it was not measured.
     edge : EdgeMtf or None
         Measured MTF.
     wedges : tuple of WedgeSignals
@@ -68,32 +63,6 @@ class Calibration:
     edge: EdgeMtf | None = None
     wedges: tuple[WedgeSignals, ...] = ()
     beam: BeamFit | None = None
-
-
-@dataclass
-class _Working:
-    """Values that the steps of a calibration collect."""
-
-    images: CalibrationImages
-    technique: Technique
-    estimates: dict[str, Estimate] = field(default_factory=dict)
-    changes: dict[str, Any] = field(default_factory=dict)
-
-    @property
-    def detector(self) -> Detector:
-        """Starting detector with the values that are known so far."""
-        return replace(self.technique.detector, **self.changes)
-
-    def set(self, name: str, estimate: Estimate) -> None:
-        """Store the estimate of a field of the detector and use its value."""
-        self.estimates[name] = estimate
-        if estimate.source == "measured":
-            self.changes[name] = estimate.value
-
-    def hold(self, note: str, *names: str) -> None:
-        """Hold fields of the detector at their starting values."""
-        for name in names:
-            self.set(name, hold_value(getattr(self.technique.detector, name), note))
 
 
 def calibrate_detector(images: CalibrationImages, protocol: Protocol, name: str = "calibrated") -> Calibration:
@@ -124,16 +93,23 @@ def calibrate_detector(images: CalibrationImages, protocol: Protocol, name: str 
     Images contain electrons only as numbers of DN, so `electrons_per_kev` is held; it sets the scale of the other
     constants in electrons. Without a wedge, the mass of scintillator, tube voltage and filtration are held. The Swank
     factor follows from the noise and from the output of the tube, which is that of the spectrum model.
+
+    Radiographs of patients determine the NTF and the noise per signal, and with the Swank factor of the starting
+    detector the gain and the mAs.
     """
-    work = _Working(images, resolve_technique(replace(protocol, pixel_mm=images.pixel_mm)))
+    work = CalibrationState(images, resolve_technique(replace(protocol, pixel_mm=images.pixel_mm)))
     readout_dn = _calibrate_dark(work)
     response = _calibrate_signal(work)
     spectra = _measure_spectra(work, response)
     edge = _calibrate_edge(work)
     wedges, beam = _calibrate_beam(work)
-    noise_per_signal = _calibrate_gain(work, readout_dn, response, spectra, beam)
+    if images.radiographs:
+        spectra, noise_per_signal = calibrate_radiographs(work, readout_dn)
+    else:
+        noise_per_signal = _calibrate_gain(work, readout_dn, response, spectra, beam)
     detector = replace(work.detector, name=name)
     tube_kv, filtration = (work.estimates[key].value for key in ("tube_kv", "filtration_mm_al"))
+    mas = work.estimates["mas"].value if images.radiographs else protocol.mas
     return Calibration(
         detector=detector,
         protocol=replace(
@@ -142,6 +118,7 @@ def calibrate_detector(images: CalibrationImages, protocol: Protocol, name: str 
             detector=detector,
             tube_kv=tube_kv,
             filtration_mm_al=filtration,
+            mas=mas,
         ),
         estimates=work.estimates,
         response=response,
@@ -153,7 +130,7 @@ def calibrate_detector(images: CalibrationImages, protocol: Protocol, name: str 
     )
 
 
-def _calibrate_dark(work: _Working) -> Estimate | None:
+def _calibrate_dark(work: CalibrationState) -> Estimate | None:
     """Estimate the offset; return the readout noise in DN, which becomes electrons when the gain is known."""
     if not work.images.darks:
         work.hold("no dark images", "offset_dn")
@@ -163,7 +140,7 @@ def _calibrate_dark(work: _Working) -> Estimate | None:
     return dark.noise_dn
 
 
-def _calibrate_signal(work: _Working) -> SignalResponse | None:
+def _calibrate_signal(work: CalibrationState) -> SignalResponse | None:
     """Measure signal per mAs, response curve and saturation."""
     images = work.images
     if not images.flats:
@@ -179,7 +156,7 @@ def _calibrate_signal(work: _Working) -> SignalResponse | None:
     return response
 
 
-def _measure_spectra(work: _Working, response: SignalResponse | None) -> FlatSpectra | None:
+def _measure_spectra(work: CalibrationState, response: SignalResponse | None) -> FlatSpectra | None:
     """Measure the noise power spectra of the flat fields below saturation."""
     if response is None:
         return None
@@ -191,7 +168,7 @@ def _measure_spectra(work: _Working, response: SignalResponse | None) -> FlatSpe
     return measure_flat_spectra(flats, work.images.pixel_mm)
 
 
-def _calibrate_edge(work: _Working) -> EdgeMtf | None:
+def _calibrate_edge(work: CalibrationState) -> EdgeMtf | None:
     """Estimate the MTF: the equation, or a table if the equation does not fit."""
     images = work.images
     if images.edge is None:
@@ -210,7 +187,7 @@ def _calibrate_edge(work: _Working) -> EdgeMtf | None:
     return edge
 
 
-def _calibrate_beam(work: _Working) -> tuple[tuple[WedgeSignals, ...], BeamFit | None]:
+def _calibrate_beam(work: CalibrationState) -> tuple[tuple[WedgeSignals, ...], BeamFit | None]:
     """Estimate tube voltage, filtration and mass of scintillator."""
     images, protocol = work.images, work.technique.protocol
     if not images.wedges:
@@ -241,7 +218,7 @@ def _calibrate_beam(work: _Working) -> tuple[tuple[WedgeSignals, ...], BeamFit |
     return tuple(wedges), fit
 
 
-def _remove_blur(signal: NDArray[np.float32], work: _Working) -> Array:
+def _remove_blur(signal: NDArray[np.float32], work: CalibrationState) -> Array:
     """Remove most of the light that the detector spreads from bright to dark steps (rows, cols), in DN.
 
     The difference between the image and the image blurred once more is added (van Cittert 1931, one iteration). The
@@ -254,7 +231,7 @@ def _remove_blur(signal: NDArray[np.float32], work: _Working) -> Array:
 
 
 def _calibrate_gain(
-    work: _Working,
+    work: CalibrationState,
     readout_dn: Estimate | None,
     response: SignalResponse | None,
     spectra: FlatSpectra | None,
@@ -267,24 +244,21 @@ def _calibrate_gain(
         work.hold("no flat fields" if work.images.darks else "no dark images", "readout_electrons")
         return 0.0
     start = work.technique.detector
-    known = None
-    if readout_dn is not None:
-        known = (readout_dn.value, max(readout_dn.relative_error, _LEAST_ERROR))
-    fit = fit_noise(spectra, known, (start.ntf_f0_per_mm, start.ntf_power))
+    fit = fit_noise(spectra, describe_readout(readout_dn), (start.ntf_f0_per_mm, start.ntf_power))
     errors = np.sqrt(np.diag(fit.covariance))
     work.changes["ntf"] = None
     work.set("ntf_f0_per_mm", make_estimate(fit.ntf_f0_per_mm, fit.ntf_f0_per_mm * float(errors[1])))
     work.set("ntf_power", make_estimate(fit.ntf_power, fit.ntf_power * float(errors[2])))
     work.changes["gain_variation"] = fit.gain_variation
     covariance = np.zeros((3, 3)) if beam is None else beam.covariance
-    signal_kev, quantum_kev, slopes = _describe_open_beam(work, beam)
+    signal_kev, quantum_kev, slopes = describe_open_beam(work, beam)
     slope_error = response.signal_per_mas.relative_error
     gain_error = float(np.sqrt(slope_error**2 + slopes[0] @ covariance @ slopes[0]))
     gain = response.signal_per_mas.value / signal_kev
     note = "" if beam is not None else "for the beam of the protocol"
     per_dn_mm2 = start.electrons_per_kev / (gain * work.images.pixel_mm**2)
     work.set("electrons_per_dn_mm2", make_estimate(per_dn_mm2, per_dn_mm2 * gain_error, note=note))
-    _set_readout(work, fit.readout_dn, float(errors[3]), gain_error)
+    set_readout(work, fit.readout_dn, float(errors[3]), gain_error)
     swank = gain * quantum_kev / fit.noise_per_signal_dn
     towards = slopes[1] - slopes[0]
     swank_error = float(np.sqrt(slope_error**2 + errors[0] ** 2 + towards @ covariance @ towards))
@@ -292,16 +266,7 @@ def _calibrate_gain(
     return fit.noise_per_signal_dn
 
 
-def _set_readout(work: _Working, readout_dn: float, error: float, gain_error: float) -> None:
-    """Set the readout noise in electrons, or hold it if flat fields alone do not determine it."""
-    if not work.images.darks and error > _READOUT_ERROR:
-        work.hold("no dark images, and too small in the flat fields", "readout_electrons")
-        return
-    electrons = readout_dn * work.changes["electrons_per_dn_mm2"] * work.images.pixel_mm**2
-    work.set("readout_electrons", make_estimate(electrons, electrons * float(np.hypot(error, gain_error))))
-
-
-def _set_swank(work: _Working, swank: float, error: float) -> None:
+def _set_swank(work: CalibrationState, swank: float, error: float) -> None:
     """Set the Swank factor, or limit it to 1 if the noise is less than that of the photons of the spectrum model."""
     if swank > 1.0:
         note = f"the noise gives {swank:.3f}: the tube has a greater output than the spectrum model"
@@ -311,32 +276,7 @@ def _set_swank(work: _Working, swank: float, error: float) -> None:
         work.set("swank", make_estimate(swank, swank * error, note="for the tube output of the spectrum model"))
 
 
-def _describe_open_beam(work: _Working, beam: BeamFit | None) -> tuple[float, float, Array]:
-    """Describe the open beam at the centre of the detector.
-
-    Return the absorbed energy in keV per pixel and mAs, the noise per signal in keV, and the derivatives (2, 3) of
-    their logarithms with respect to the logarithms of the beam parameters.
-    """
-    protocol, detector = work.technique.protocol, work.detector
-    values, technique = np.log([1.0, protocol.filtration_mm_al, detector.mg_per_cm2]), work.technique
-    if beam is not None:
-        technique = technique.replace_protocol(filtration_mm_al=beam.filtration_mm_al)
-        values = np.log([beam.kv_scale, beam.filtration_mm_al, beam.mg_per_cm2])
-    area = protocol.pixel_mm**2 * (1000.0 / protocol.sdd_mm) ** 2
-
-    def describe(logs: Array) -> Array:
-        kv_scale, filtration, mass = (float(value) for value in np.exp(logs))
-        energies, photons = filtered_spectrum(protocol.tube_kv * kv_scale, filtration, technique)
-        layer = detector if detector.absorption == "all" else set_mass_per_area(detector, mass)
-        first, second = deposit_energy(layer, energies, None if detector.absorption == "all" else detector)
-        return np.log([photons @ first * area, (photons @ second) / (photons @ first)])
-
-    middle = describe(values)
-    slopes = [(describe(values + _STEP * step) - describe(values - _STEP * step)) / (2 * _STEP) for step in np.eye(3)]
-    return float(np.exp(middle[0])), float(np.exp(middle[1])), np.array(slopes).T
-
-
-def _relative_open_beam(work: _Working, shape: tuple[int, int]) -> Array:
+def _relative_open_beam(work: CalibrationState, shape: tuple[int, int]) -> Array:
     """Compute the signal of the open beam relative to the centre of the detector (rows, cols)."""
     bare = _resize(work.technique, shape).replace_protocol(
         focal_spot_mm=0.0, subpixels=1, field_width_mm=0.0, field_height_mm=0.0

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from ..core.checks import Array
@@ -11,23 +12,27 @@ from ..detector.detector_blur import compute_transfer
 from ..model.detector import Detector
 from .dark_noise import ROUNDING_VARIANCE
 from .estimate import compute_covariance
+from .frequency_rings import WINDOW_CORRELATION, make_rings, split_regions, transform_regions
 
 # Side length of a region for the noise power spectrum, in pixels.
 _ROI_PX = 128
+# Degree of the trend that is subtracted from each region.
+_TREND_DEGREE = 2
 # Rings of the lowest frequencies, which the subtraction of the trend changes, are left out.
 _FIRST_RING = 4
-# Reduction of the number of independent frequencies by the Hann window in two dimensions, (35 / 18)^2.
-_WINDOW_CORRELATION = (35.0 / 18.0) ** 2
 # Lowest frequency of the fixed pattern, relative to the Nyquist frequency.
 _PATTERN_FROM = 0.2
 # Range of the logarithms of noise per signal, f0, exponent and readout noise around their starting values.
 _FIT_RANGE = np.array([3.0, 5.0, 3.0, 9.0])
 # Number of standard errors above which a fixed pattern is detected.
 _DETECTED = 3.0
+# Sensitivity of the spectra to the readout noise, relative to that to the noise per signal, below which the readout
+# noise is not determined.
+_INSENSITIVE = 1e-4
 
 
 class FlatSpectra(NamedTuple):
-    """Noise power spectra of flat fields, averaged over rings.
+    """Noise power spectra of flat fields, or of homogeneous regions of radiographs, averaged over rings.
 
     Attributes
     ----------
@@ -35,10 +40,12 @@ class FlatSpectra(NamedTuple):
         Spatial frequencies, in cycles per mm.
     power_dn2 : (flats, rings) float64 array
         Noise power divided by the pixel area, in DN2 per pixel: the variance of a pixel if the noise were white.
-    relative_error : (rings,) float64 array
+    relative_error : (rings,) or (flats, rings) float64 array
         Relative standard error of the power.
     mean_dn : (flats,) float64 array
         Mean signal, in DN.
+    hardening : (flats,) float64 array
+        Noise per signal relative to the open beam, dimensionless; above 1 behind a patient, who hardens the beam.
     pattern : float
         Squared relative standard deviation of the fixed pattern of the pixels, dimensionless.
     pattern_error : float
@@ -49,6 +56,7 @@ class FlatSpectra(NamedTuple):
     power_dn2: Array
     relative_error: Array
     mean_dn: Array
+    hardening: Array
     pattern: float
     pattern_error: float
 
@@ -68,47 +76,25 @@ def measure_flat_spectra(flats: Sequence[Array], pixel_mm: float) -> FlatSpectra
     FlatSpectra
         Spectra. In each region, a quadratic trend is subtracted.
     """
-    window = np.outer(np.hanning(_ROI_PX), np.hanning(_ROI_PX))
-    scale = 1.0 / np.sqrt((window**2).sum())
+    rings = make_rings(_ROI_PX, pixel_mm)
     transforms, means = [], []
     for flat in flats:
-        regions = _split_regions(flat)
+        regions = split_regions(flat, _ROI_PX)
         means.append(float(regions.mean()))
-        transforms.append(np.fft.fft2(_subtract_trend(regions) * window) * scale)
-    f = np.fft.fftfreq(_ROI_PX, pixel_mm)
-    radius = np.hypot(*np.meshgrid(f, f))
-    used = (np.arange(_ROI_PX)[:, None] > 0) & (np.arange(_ROI_PX) > 0) & (radius < 0.5 / pixel_mm)
-    ring = np.rint(radius * _ROI_PX * pixel_mm).astype(int)
-    used &= ring >= _FIRST_RING
-    count = np.bincount(ring[used])[_FIRST_RING:]
-    frequency = np.bincount(ring[used], radius[used])[_FIRST_RING:] / count
-    power = np.array(
-        [np.bincount(ring[used], (np.abs(each) ** 2).mean(axis=0)[used])[_FIRST_RING:] / count for each in transforms]
+        transforms.append(transform_regions(regions, _TREND_DEGREE))
+    used = rings.used & (rings.number >= _FIRST_RING)
+    power = np.array([rings.average((np.abs(each) ** 2).mean(axis=0)) for each in transforms])[:, _FIRST_RING:]
+    error = rings.relative_error(len(transforms[0]))[_FIRST_RING:]
+    high = used & (rings.radius_per_mm > _PATTERN_FROM * 0.5 / pixel_mm)
+    pattern = _measure_pattern(transforms, means, high)
+    return FlatSpectra(
+        rings.frequency_per_mm[_FIRST_RING:], power, error, np.array(means), np.ones(len(means)), *pattern
     )
-    regions_count = len(transforms[0])
-    # A frequency and its negative have the same power, so that half of the values are independent.
-    error = np.sqrt(2 * _WINDOW_CORRELATION / (count * regions_count))
-    high = used & (radius > _PATTERN_FROM * 0.5 / pixel_mm)
-    return FlatSpectra(frequency, power, error, np.array(means), *_measure_pattern(transforms, means, high))
 
 
-def _split_regions(flat: Array) -> Array:
-    """Split a flat field into regions (count, 128, 128)."""
-    rows, cols = (side // _ROI_PX for side in flat.shape)
-    cut = flat[: rows * _ROI_PX, : cols * _ROI_PX].reshape(rows, _ROI_PX, cols, _ROI_PX)
-    return cut.swapaxes(1, 2).reshape(-1, _ROI_PX, _ROI_PX)
-
-
-def _subtract_trend(regions: Array) -> Array:
-    """Subtract a quadratic polynomial of row and column from each region."""
-    place = np.linspace(-1, 1, _ROI_PX)
-    x, y = np.meshgrid(place, place)
-    basis, _ = np.linalg.qr(np.stack([f.ravel() for f in (np.ones_like(x), x, y, x * x, x * y, y * y)], axis=1))
-    flat = regions.reshape(len(regions), -1)
-    return np.asarray((flat - (flat @ basis) @ basis.T).reshape(regions.shape))
-
-
-def _measure_pattern(transforms: Sequence[Array], means: Sequence[float], high: Array) -> tuple[float, float]:
+def _measure_pattern(
+    transforms: Sequence[Array], means: Sequence[float], high: NDArray[np.bool_]
+) -> tuple[float, float]:
     """Measure the squared relative pattern that all flat fields have in common, and its standard error."""
     products, errors = [], []
     for one in range(len(transforms)):
@@ -117,7 +103,7 @@ def _measure_pattern(transforms: Sequence[Array], means: Sequence[float], high: 
             cross = (transforms[one] * transforms[other].conj()).real.mean(axis=0)[high] / scale
             noise = np.sqrt((np.abs(transforms[one]) ** 2).mean() * (np.abs(transforms[other]) ** 2).mean()) / scale
             products.append(cross.mean())
-            errors.append(noise * np.sqrt(_WINDOW_CORRELATION / (high.sum() * len(transforms[one]))))
+            errors.append(noise * np.sqrt(WINDOW_CORRELATION / (high.sum() * len(transforms[one]))))
     if not products:
         return 0.0, np.inf
     weights = np.array(errors) ** -2
@@ -144,9 +130,10 @@ def predict_power(detector: Detector, spectra: FlatSpectra, pixel_mm: float, noi
         Noise power divided by the pixel area, in DN2 per pixel.
     """
     signal = spectra.mean_dn[:, None]
+    quanta = signal * spectra.hardening[:, None]
     ntf = compute_transfer(detector, spectra.frequency_per_mm, "ntf")
     readout = (detector.readout_electrons / (detector.electrons_per_dn_mm2 * pixel_mm**2)) ** 2 + ROUNDING_VARIANCE
-    return np.asarray(noise_per_signal_dn * signal * ntf**2 + readout + (detector.gain_variation * signal) ** 2)
+    return np.asarray(noise_per_signal_dn * quanta * ntf**2 + readout + (detector.gain_variation * signal) ** 2)
 
 
 class NoiseFit(NamedTuple):
@@ -199,6 +186,7 @@ def fit_noise(spectra: FlatSpectra, readout_dn: tuple[float, float] | None, star
     """
     pattern = spectra.pattern if spectra.pattern > _DETECTED * spectra.pattern_error else 0.0
     signal = spectra.mean_dn[:, None]
+    quanta = signal * spectra.hardening[:, None]
     first = (spectra.power_dn2[:, :8].mean(axis=1) / spectra.mean_dn).mean()
     weakest = float(spectra.power_dn2.min())
     guess = readout_dn[0] if readout_dn else float(np.sqrt(0.2 * weakest))
@@ -206,7 +194,7 @@ def fit_noise(spectra: FlatSpectra, readout_dn: tuple[float, float] | None, star
     def residuals(logs: Array) -> Array:
         per_signal, f0, power, readout = np.exp(logs)
         ntf = 1 / (1 + (spectra.frequency_per_mm / f0) ** power)
-        model = per_signal * signal * ntf**2 + readout**2 + ROUNDING_VARIANCE + pattern * signal**2
+        model = per_signal * quanta * ntf**2 + readout**2 + ROUNDING_VARIANCE + pattern * signal**2
         ratio = spectra.power_dn2 / model
         deviance = np.sign(ratio - 1) * np.sqrt(np.maximum(2 * (ratio - 1 - np.log(ratio)), 0))
         terms = (deviance / spectra.relative_error).ravel()
@@ -219,4 +207,17 @@ def fit_noise(spectra: FlatSpectra, readout_dn: tuple[float, float] | None, star
     free = max(1, spectra.power_dn2.size - 4)
     chi2 = float((optimum.fun[: spectra.power_dn2.size] ** 2).sum()) / free
     per_signal, f0, power, readout = (float(value) for value in np.exp(optimum.x))
-    return NoiseFit(per_signal, f0, power, readout, float(np.sqrt(pattern)), compute_covariance(optimum.jac), chi2)
+    return NoiseFit(
+        per_signal, f0, power, readout, float(np.sqrt(pattern)), _compute_noise_covariance(optimum.jac), chi2
+    )
+
+
+def _compute_noise_covariance(jacobian: Array) -> Array:
+    """Compute the covariance (4, 4); the variance of a readout noise that the spectra do not show is infinite."""
+    sensitivity = np.linalg.norm(jacobian, axis=0)
+    if sensitivity[3] > _INSENSITIVE * sensitivity[0]:
+        return compute_covariance(jacobian)
+    covariance = np.zeros((4, 4))
+    covariance[:3, :3] = compute_covariance(jacobian[:, :3])
+    covariance[3, 3] = np.inf
+    return covariance

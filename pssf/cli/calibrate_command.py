@@ -29,6 +29,9 @@ def calibrate(
         typer.Option(help="CSV file of the steps: thickness_mm, and their regions top, bottom, left, right in pixels."),
     ] = None,
     material: Annotated[str, typer.Option(help="Material of the wedge.")] = "Al@2.70",
+    radiographs: Annotated[
+        str, typer.Option(help="Linear radiographs of patients instead of flat fields, or a pattern.")
+    ] = "",
     pixel: Annotated[
         float | None, typer.Option(help="Pixel pitch in mm. Default: that of DICOM files, or of the protocol.")
     ] = None,
@@ -36,8 +39,9 @@ def calibrate(
 ) -> None:
     """Measure a detector and its beam from flat fields, an edge and a step wedge, and write a detector file.
 
-    Any of the images can be missing. The protocol gives the distance of the source, the nominal tube voltage and
-    filtration of the flat fields, and the detector from which values are taken that the images do not determine.
+    Any of the images can be missing. Without a phantom, radiographs of patients determine the noise. The protocol gives
+    the distance of the source, the nominal tube voltage and filtration of the flat fields, and the detector from which
+    values are taken that the images do not determine.
     """
     from ..calibration import calibrate_detector, read_calibration_images, write_calibration
     from ..core.checks import InputError
@@ -48,6 +52,7 @@ def calibrate(
     technique = load_protocol(protocol)
     images = read_calibration_images(
         darks=_expand(dark),
+        radiographs=_expand(radiographs),
         flats=[*_expand(flats), *(more_flats or [])],
         flat_mas=_parse_numbers("mas", mas),
         edge=edge,

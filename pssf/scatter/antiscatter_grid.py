@@ -71,6 +71,24 @@ def make_grid(protocol: Protocol) -> Grid:
     return Grid(ratio=protocol.grid_ratio, lines_per_cm=protocol.grid_lines_per_cm)
 
 
+def compute_primary_transmission(grid: Grid, energies_kev: Array) -> Array:
+    """Compute the transmission of a moving anti-scatter grid for photons that travel parallel to the strips.
+
+    Parameters
+    ----------
+    grid : Grid
+        Anti-scatter grid.
+    energies_kev : (nodes,) array, keV
+        Photon energies.
+
+    Returns
+    -------
+    (nodes,) float64 array
+        Transmission from 0 to 1.
+    """
+    return np.asarray(_compute_transmission(grid, _strip_attenuation_per_mm(energies_kev), 0.0, np.ones(1))[0])
+
+
 def transmit_through_grid(grid: Grid, beam: Beam) -> Beam:
     """Attenuate the primary beam by a moving anti-scatter grid.
 
@@ -88,8 +106,8 @@ def transmit_through_grid(grid: Grid, beam: Beam) -> Beam:
     Beam
         Beam behind the grid.
     """
-    mu = _strip_attenuation_per_mm(beam)
-    return replace(beam, photons_per_mm2=beam.photons_per_mm2 * _compute_transmission(grid, mu, 0.0, np.ones(1))[0])
+    transmission = compute_primary_transmission(grid, beam.energies_kev)
+    return replace(beam, photons_per_mm2=beam.photons_per_mm2 * transmission)
 
 
 def compute_scatter_transmission(grid: Grid, beam: Beam, gap_mm: float, limb: Material) -> float:
@@ -128,7 +146,7 @@ def compute_scatter_transmission(grid: Grid, beam: Beam, gap_mm: float, limb: Ma
     seen = far2**-2
     slopes = across / (gap_mm + _SCATTER_DEPTH_MM)
     lengths = np.sqrt(far2) / (gap_mm + _SCATTER_DEPTH_MM)
-    mu = _strip_attenuation_per_mm(beam)
+    mu = _strip_attenuation_per_mm(beam.energies_kev)
     # The transmission is symmetric in the slope, so only non-negative slopes are computed.
     right = len(slopes) // 2
     passed = [
@@ -139,9 +157,9 @@ def compute_scatter_transmission(grid: Grid, beam: Beam, gap_mm: float, limb: Ma
     return float((np.array(passed) * seen[:, :, None] / seen.sum()).sum(axis=(0, 1)) @ weights)
 
 
-def _strip_attenuation_per_mm(beam: Beam) -> Array:
+def _strip_attenuation_per_mm(energies_kev: Array) -> Array:
     """Compute the linear attenuation coefficients of lead and aluminium, (2, nodes), in 1/mm."""
-    return np.array([attenuation_per_mm(parse_compound(name), beam.energies_kev) for name in ("Pb@11.35", "Al@2.70")])
+    return np.array([attenuation_per_mm(parse_compound(name), energies_kev) for name in ("Pb@11.35", "Al@2.70")])
 
 
 def _compute_transmission(grid: Grid, mu: Array, slope: float, lengths: Array) -> Array:

@@ -9,7 +9,10 @@ Ray casting
     - ``agreement``: difference between the two engines for random knees and random beam directions.
     - ``tessellation``: error of the projected bone outlines by number of triangles.
     - ``gvxr``: path lengths and run time compared with gVirtualXray.
-    - ``ctsimu``: signal behind step wedges compared with the CTSimU test suite.
+    - ``ctsimu``: primary signal behind step wedges compared with the CTSimU test suite.
+    - ``ctsimu_scatter``: signal with scatter behind its aluminium wedges.
+    - ``ctsimu_images``: flat field, noise, edge, focal spot and wire pairs, evaluated by the program of the suite.
+    - ``calibration``: detectors with random properties, calibrated from simulated images.
 Imaging
     - ``stages``: run time of each stage of ``simulate`` in the first run after installation and in later runs.
     - ``chain``: run time, fraction of the total and error of each stage of ``simulate``.
@@ -57,6 +60,9 @@ from ..core.checks import require_choice
 from ..io.atomic_write import make_folder, write_bytes
 from ..io.cohort_records import write_csv, write_json
 from ..simulation import collect_versions
+from .imaging.calibration_recovery import measure_calibration_recovery
+from .imaging.ctsimu_images import compare_images_with_ctsimu
+from .imaging.ctsimu_scatter import compare_scatter_with_ctsimu
 from .imaging.ctsimu_wedges import compare_with_ctsimu
 from .imaging.focal_spot_error import measure_focal_spot_models
 from .imaging.left_out_tissues import measure_left_out_tissues
@@ -92,7 +98,7 @@ DEFAULT_TABLES = (
 # These tables are measured only on request, because they take minutes or need another package.
 OPTIONAL_TABLES = (
     "throughput", "worker_scaling", "left_out", "localisation", "localisation_limits", "coverage", "refutation",
-    "ablation", "backends", "gvxr", "ctsimu",
+    "ablation", "backends", "gvxr", "ctsimu", "ctsimu_scatter", "ctsimu_images", "calibration",
 )  # fmt: skip
 
 
@@ -190,6 +196,9 @@ def _make_table_jobs(
         "backends": lambda: _import_study_module("backend_agreement").compare_backends(),
         "gvxr": lambda: compare_with_gvxr(workers),
         "ctsimu": compare_with_ctsimu,
+        "ctsimu_scatter": compare_scatter_with_ctsimu,
+        "ctsimu_images": compare_images_with_ctsimu,
+        "calibration": measure_calibration_recovery,
     }
 
 

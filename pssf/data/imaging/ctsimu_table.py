@@ -24,8 +24,32 @@ class WedgeMaterial(Record, frozen=True):
     step_mm: float
 
 
+class WedgeGeometry(Record, frozen=True):
+    """Geometry of a step wedge, whose steps are parts of spherical shells around the source.
+
+    Attributes
+    ----------
+    sdd_mm : float
+        Distance from the source to the detector, in mm.
+    middle_mm : float
+        Distance from the source to the middle of each step, in mm.
+    pixel_mm : float
+        Pixel pitch of the detector, in mm.
+    pixels_per_step : int
+        Height of the projection of a step, and of the free beam above the steps, in pixels.
+    width_mm : float
+        Width of the projection of the wedge, in mm.
+    """
+
+    sdd_mm: float
+    middle_mm: float
+    pixel_mm: float
+    pixels_per_step: int
+    width_mm: float
+
+
 class WedgeReference(Record, frozen=True):
-    """Primary grey values of one wedge by two Monte Carlo codes, from the thickest step to the free beam.
+    """Grey values of one wedge by two Monte Carlo codes, from the thickest step to the free beam.
 
     Attributes
     ----------
@@ -36,9 +60,13 @@ class WedgeReference(Record, frozen=True):
     beam : str
         Photon energy in keV or tube voltage in kV, with unit.
     rosi, mcray : tuple of float
-        Mean grey values of the codes.
+        Mean primary grey values of the codes.
     rosi_sd, mcray_sd : tuple of float
-        Standard deviations of the grey values of the codes.
+        Standard deviations of the primary grey values of the codes.
+    rosi_total, mcray_total : tuple of float
+        Mean grey values of the codes with scatter. Empty if unknown.
+    rosi_total_sd, mcray_total_sd : tuple of float
+        Standard deviations of the grey values of the codes with scatter. Empty if unknown.
     """
 
     detector: str
@@ -48,6 +76,10 @@ class WedgeReference(Record, frozen=True):
     rosi_sd: Numbers
     mcray: Numbers
     mcray_sd: Numbers
+    rosi_total: Numbers = ()
+    rosi_total_sd: Numbers = ()
+    mcray_total: Numbers = ()
+    mcray_total_sd: Numbers = ()
 
 
 class CtsimuTable(Record, frozen=True):
@@ -59,6 +91,8 @@ class CtsimuTable(Record, frozen=True):
         Window of the X-ray tube, in mm aluminium.
     anode_angle_deg : float
         Angle of the tungsten anode, in degrees.
+    geometry : WedgeGeometry
+        Geometry of the wedges.
     material : dict of str to WedgeMaterial
         Materials, keyed by symbol.
     wedge : tuple of WedgeReference
@@ -67,6 +101,7 @@ class CtsimuTable(Record, frozen=True):
 
     window_mm_al: float
     anode_angle_deg: float
+    geometry: WedgeGeometry
     material: dict[str, WedgeMaterial]
     wedge: tuple[WedgeReference, ...]
 

@@ -16,7 +16,8 @@ from ...xray.spectrum import compute_beam
 Row = dict[str, Any]
 # Formula and density in g/cm3 of each scintillator of the suite.
 _SCINTILLATORS = {"csi": ("CsI", 4.51), "gos": ("Gd2O2S", 7.34)}
-_STEPS = 9
+# Number of steps of a wedge.
+STEPS = 9
 
 
 def compare_with_ctsimu() -> list[Row]:
@@ -53,15 +54,33 @@ def compute_wedge_signals(wedge: WedgeReference, table: CtsimuTable, *, escape: 
     """
     known = table.material[wedge.material]
     material = parse_compound(f"{wedge.material}@{known.density_g_per_cm3}")
-    path_mm = np.append(known.thinnest_mm + known.step_mm * np.arange(_STEPS - 1, -1, -1), 0.0)
-    detector = _make_detector(wedge.detector)
-    protocol = replace(
-        _make_beam_protocol(wedge.beam, table), detector=detector if escape else detector.without_escape()
-    )
+    path_mm = np.append(known.thinnest_mm + known.step_mm * np.arange(STEPS - 1, -1, -1), 0.0)
+    protocol = make_wedge_protocol(wedge, table, escape=escape)
     beam = compute_beam(resolve_technique(protocol), [material])
     weights = beam.photons_per_mm2 * beam.signal_kev
     passed = np.exp(-np.outer(path_mm, attenuation_per_mm(material, beam.energies_kev)))
     return np.asarray(passed @ weights / weights.sum())
+
+
+def make_wedge_protocol(wedge: WedgeReference, table: CtsimuTable, *, escape: bool = True) -> Protocol:
+    """Make a protocol with the beam and the detector of a sub-test.
+
+    Parameters
+    ----------
+    wedge : WedgeReference
+        Wedge, beam and detector.
+    table : CtsimuTable
+        Table with the X-ray tube.
+    escape : bool, default True
+        Whether fluorescence and scattered photons may leave the scintillator.
+
+    Returns
+    -------
+    Protocol
+        The protocol ``reference`` with this beam and detector.
+    """
+    detector = _make_detector(wedge.detector)
+    return replace(_make_beam_protocol(wedge.beam, table), detector=detector if escape else detector.without_escape())
 
 
 def _make_detector(name: str) -> Detector:
