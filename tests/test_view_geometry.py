@@ -15,6 +15,7 @@ from pssf import (
     Surface,
     check,
     load_protocol,
+    simulate,
     trace,
 )
 from pssf.geometry.view import (
@@ -97,3 +98,21 @@ def test_only_protocols_and_views_can_be_resolved_to_a_view():
                 function(thing)
     with pytest.raises(InputError, match=r"^protocol must be a Protocol or a View, got 'reference'"):
         check(scene, "reference")
+
+
+@pytest.mark.parametrize(("shift_x_px", "shift_z_px"), [(24, 0), (0, -16), (-12, 20)])
+def test_an_offset_detector_shows_a_part_of_a_larger_detector(shift_x_px, shift_z_px):
+    whole = dataclasses.replace(
+        load_protocol("reference"), rows=128, cols=128, pixel_mm=2.0, heel="anode_proximal", scatter="none",
+        noise="none", detector_blur="none", focal_spot_mm=0.0, beam_angle_deg=5.0,
+    )  # fmt: skip
+    part = dataclasses.replace(
+        whole, rows=64, cols=64, detector_offset_x_mm=2.0 * shift_x_px, detector_offset_z_mm=2.0 * shift_z_px
+    )
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=40.0).apply_translation((20.0, 0.0, 15.0))
+    scene = Scene([Surface(ball, "muscle", "air", "ball")])
+    images = [simulate(scene, one, rng=0, keep=("primary",), engine="scanline") for one in (whole, part)]
+    top, left = 32 - shift_z_px, 32 + shift_x_px
+    expected = images[0].kept["primary"][top : top + 64, left : left + 64]
+    # The spline of the heel effect has other nodes on the smaller detector.
+    assert_allclose(images[1].kept["primary"], expected, rtol=2e-4)

@@ -245,7 +245,10 @@ class StageCache:
 
 def _view_key(built: BuiltKnee, protocol: Protocol) -> Hashable:
     """Return the cache key of a view: knee, posture and the fields that affect path lengths."""
-    geometry = ("sdd_mm", "sod_mm", "beam_angle_deg", "centre_x_mm", "centre_z_mm", "rows", "cols", "pixel_mm")
+    geometry = (
+        "sdd_mm", "sod_mm", "beam_angle_deg", "centre_x_mm", "centre_z_mm", "detector_offset_x_mm",
+        "detector_offset_z_mm", "rows", "cols", "pixel_mm",
+    )  # fmt: skip
     return (built.knee, protocol.posture, protocol.texture, *(getattr(protocol, name) for name in geometry))
 
 

@@ -91,7 +91,8 @@ def resolve_view(protocol: Protocol | View) -> View:
     The source at (0, -SOD, 0) is rotated about the x axis through the origin by ``beam_angle_deg``. A positive angle
     moves the source proximally, so that the beam points caudally. The detector remains in the plane y = SDD - SOD,
     centred on the central ray. ``centre_x_mm`` and ``centre_z_mm`` shift source and detector together, so that the
-    central ray crosses the joint plane at x = ``centre_x_mm`` and z = ``centre_z_mm``.
+    central ray crosses the joint plane at x = ``centre_x_mm`` and z = ``centre_z_mm``. ``detector_offset_x_mm`` and
+    ``detector_offset_z_mm`` shift the detector alone.
 
     Parameters
     ----------
@@ -121,7 +122,11 @@ def resolve_view(protocol: Protocol | View) -> View:
     x, z = float(protocol.centre_x_mm), float(protocol.centre_z_mm)
     return View(
         source_mm=(x, float(-protocol.sod_mm * np.cos(angle)), z + float(protocol.sod_mm * np.sin(angle))),
-        centre_mm=(x, beyond_mm, z + float(-beyond_mm * np.tan(angle))),
+        centre_mm=(
+            x + float(protocol.detector_offset_x_mm),
+            beyond_mm,
+            z + float(-beyond_mm * np.tan(angle)) + float(protocol.detector_offset_z_mm),
+        ),
         rows=protocol.rows,
         cols=protocol.cols,
         pixel_mm=protocol.pixel_mm,

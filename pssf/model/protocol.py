@@ -141,8 +141,14 @@ class Protocol:
     centre_z_mm : float, default 0
         Vertical distance from the joint line to the central ray, in the joint plane; positive is upwards. Allowed: -150
         to 150 mm.
+    detector_offset_x_mm : float, default 0
+        Horizontal distance from the central ray to the centre of the detector and of the collimated field, in the
+        detector plane; positive is to the right of the radiograph. Allowed: -500 to 500 mm.
+    detector_offset_z_mm : float, default 0
+        Vertical distance from the central ray to the centre of the detector and of the collimated field, in the
+        detector plane; positive is upwards. Allowed: -500 to 500 mm.
     field_width_mm : float, default 0
-        Width of the collimated field on the detector, centred on the central ray; 0 irradiates the full detector width.
+        Width of the collimated field on the detector, centred on the detector; 0 irradiates the full detector width.
         Allowed: 0 to 3000 mm.
     field_height_mm : float, default 0
         Height of the collimated field on the detector, centred on the central ray; 0 irradiates the full detector
@@ -228,6 +234,8 @@ class Protocol:
     beam_along: str = "horizontal"
     centre_x_mm: float = 0.0
     centre_z_mm: float = 0.0
+    detector_offset_x_mm: float = 0.0
+    detector_offset_z_mm: float = 0.0
     field_width_mm: float = 0.0
     field_height_mm: float = 0.0
     marker: str = "none"
@@ -299,11 +307,11 @@ class Protocol:
 
     @property
     def field_edge_tangent(self) -> float:
-        """Tangent of the angle between the central ray and the upper or lower edge of the field."""
+        """Tangent of the angle between the central ray and the farther of the upper and lower edges of the field."""
         whole_mm = self.rows * self.pixel_mm
         # The field includes the outer half of the penumbra on both sides, which is less than 15 mm wide.
         lit_mm = min(whole_mm, 1.1 * self.field_height_mm + 30.0) if self.field_height_mm > 0 else whole_mm
-        return lit_mm / 2 / self.sdd_mm
+        return (lit_mm / 2 + abs(self.detector_offset_z_mm)) / self.sdd_mm
 
     @property
     def has_plain_beam(self) -> bool:

@@ -192,13 +192,15 @@ def heel_factor(technique: Technique) -> Array:
     neglected.
     """
     protocol = technique.protocol
-    row = (np.arange(protocol.rows) - (protocol.rows - 1) / 2) * protocol.pixel_mm / protocol.sdd_mm
+    below_mm = (np.arange(protocol.rows) - (protocol.rows - 1) / 2) * protocol.pixel_mm - protocol.detector_offset_z_mm
+    row = below_mm / protocol.sdd_mm
     sign = 1.0 if protocol.heel == "anode_proximal" else -1.0
     slopes = np.linspace(row[0], row[-1], _HEEL_POINTS)
     cut_off = np.tan(np.deg2rad(protocol.anode_angle_deg))
-    if -row[0] > _NEAR_CUT_OFF * cut_off:
+    farthest = max(-float(row[0]), float(row[-1]))
+    if farthest > _NEAR_CUT_OFF * cut_off:
         # Rows outside the collimated field have the factor of the outermost row in the field.
-        lit = min(-float(row[0]), protocol.field_edge_tangent)
+        lit = min(farthest, protocol.field_edge_tangent)
         row = np.clip(row, -lit, lit)
         slopes = np.sort(sign * _slopes_near_cut_off(lit, float(cut_off)))
     signals = []
