@@ -26,13 +26,18 @@ from .scatter.monte_carlo import compute_monte_carlo_scatter_kev
 from .scatter.scatter_kernel import central_air_gap_mm, compute_air_gaps_mm, compute_kernel_scatter_kev
 from .xray.primary_beam import Signal, compute_primary, compute_primary_before_and_behind
 from .xray.resolved_technique import Technique
-from .xray.sampled_primary import FOCAL_SPOT_POINTS, compute_sampled_primary, has_unresolved_edges
+from .xray.sampled_primary import (
+    FOCAL_SPOT_POINTS,
+    compute_sampled_primary,
+    count_rays_for_thin_bodies,
+    has_unresolved_edges,
+)
 from .xray.spectrum import compute_beam
 
 # Spawn key of the random streams for noise, combined with the seed of a radiograph. Bone shape and pose are sampled
 # earlier and have other spawn keys.
 _NOISE_STREAM = 3
-# Square root of the number of rays per pixel if subpixels = 0 and the scene needs more than one.
+# Least square root of the number of rays per pixel if subpixels = 0 and the scene needs more than one.
 _AUTOMATIC_SUBPIXELS = 5
 
 
@@ -244,12 +249,11 @@ def sample_rays(image: LatentImage, context: StageContext) -> None:
     if subpixels == 0:
         # A sampled focal spot smooths the signal, so its central ray shows every edge.
         sharp = image.primary or compute_primary(image.path_mm, context.technique, context.workers)
-        if not has_unresolved_edges(sharp.kev):
-            if context.technique.protocol.focal_spot == "sampled":
-                subpixels = 1
-            else:
-                return
-        subpixels = subpixels or _AUTOMATIC_SUBPIXELS
+        subpixels = count_rays_for_thin_bodies(image.scene, context.technique.view)
+        if subpixels > 1 or has_unresolved_edges(sharp.kev):
+            subpixels = max(subpixels, _AUTOMATIC_SUBPIXELS)
+        elif context.technique.protocol.focal_spot != "sampled":
+            return
     points = FOCAL_SPOT_POINTS if context.technique.protocol.focal_spot == "sampled" else 1
     image.primary = compute_sampled_primary(
         image.scene, context.technique, context.engine, context.workers, points, subpixels

@@ -78,6 +78,19 @@ def test_the_automatic_choice_takes_one_ray_unless_the_scene_has_edges():
     assert_array_equal(take_primary(make_plate(5.0), 0), take_primary(make_plate(5.0), 5))
 
 
+@pytest.mark.parametrize("across_mm", [0.0, 0.05, 0.1])
+def test_the_automatic_choice_does_not_miss_a_wire_between_pixel_centres(across_mm):
+    wire = trimesh.creation.cylinder(0.02, 30.0, sections=24).apply_translation((across_mm, 0, 0))
+    # A thick body of the same surface, outside the field, does not hide the wire.
+    block = trimesh.creation.box((30, 30, 30)).apply_translation((200, 0, 0))
+    both = trimesh.util.concatenate([wire, block])
+    scene = pssf.Scene([pssf.Surface(both, "Pb@11.35", "air", "wire")], size_mm=(0, 1e6))
+    lost = 1 - take_primary(scene, 0)[24]
+    # The wire absorbs 0.92 of the energy on its width, which is a fifth of a pixel; the rays are 0.3 diameters apart.
+    assert 0.15 < lost.sum() < 0.22
+    assert lost.max() < 0.25
+
+
 def test_the_mtf_is_that_of_the_detector_with_one_and_with_many_rays():
     """The pixel aperture, which the MTF of a detector includes, is not applied twice."""
     angle = np.deg2rad(3.0)

@@ -164,8 +164,9 @@ class Protocol:
         from 3 x 3 points of the focal spot, which is correct at every depth.
     subpixels : int, default 1
         Square root of the number of rays per pixel, whose signals are averaged over the pixel area before detector
-        blur. 1 casts one ray through the pixel centre. 0 casts 25 rays per pixel if the scene has edges or parts that
-        one ray per pixel does not resolve, and otherwise one ray. Allowed: 0 to 16.
+        blur. 1 casts one ray through the pixel centre. 0 casts 25 rays per pixel if the scene has edges that one ray
+        per pixel does not resolve, up to 256 if it has bodies thinner than a pixel, and otherwise one ray. Allowed: 0
+        to 16.
     scatter : {"kernel", "monte_carlo", "none"}, default "kernel"
         Model of scattered radiation. "kernel" is fast and fitted to Monte Carlo results. "monte_carlo" transports
         photons through the voxels of the scene and takes about 20 s.

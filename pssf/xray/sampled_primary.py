@@ -3,8 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from ..geometry.mesh import Mesh
+from ..geometry.mesh_topology import body_volumes_mm3, label_bodies
 from ..geometry.scene import Scene
-from ..geometry.view import View, make_corner_view, make_focal_spot_views
+from ..geometry.view import View, depth_fraction, make_corner_view, make_focal_spot_views
 from ..raycast import trace_sparse
 from .primary_beam import Signal, apply_field_factors, compute_bare_primary, compute_primary
 from .resolved_technique import Technique
@@ -15,6 +17,10 @@ FOCAL_SPOT_POINTS = 3
 _MOST_RAYS = 4_500_000
 # Deviation of a pixel from the mean of its neighbours, relative to this mean, above which one ray is not enough.
 _UNRESOLVED = 0.01
+# Smallest relative depth of a surface between source and detector, and smallest thickness in mm.
+_LEAST_DEPTH = 1e-6
+# Largest number of rays along the side of a pixel.
+_MOST_SUBPIXELS = 16
 
 
 def has_unresolved_edges(kev: NDArray[np.float32]) -> bool:
@@ -38,6 +44,43 @@ def has_unresolved_edges(kev: NDArray[np.float32]) -> bool:
         if np.any(np.abs(middle - mean) > _UNRESOLVED * mean):
             return True
     return False
+
+
+def count_rays_for_thin_bodies(scene: Scene, view: View) -> int:
+    """Compute how many rays along the side of a pixel are enough to hit the thinnest surface of a scene.
+
+    Parameters
+    ----------
+    scene : Scene
+        Closed surfaces.
+    view : View
+        Source and detector.
+
+    Returns
+    -------
+    int
+        1 to 16. The thickness of each body of a surface is estimated as 4 x volume / area, which is the diameter of a
+        wire and twice the thickness of a foil. Rays are at most a third of its projection apart, up to 16 rays.
+    """
+    thinnest_mm = min(
+        (_thinnest_projection_mm(surface.mesh_arrays, view) for surface in scene.surfaces), default=np.inf
+    )
+    return int(np.clip(np.ceil(3 * view.pixel_mm / max(thinnest_mm, _LEAST_DEPTH)), 1, _MOST_SUBPIXELS))
+
+
+def _thinnest_projection_mm(mesh: Mesh, view: View) -> float:
+    """Compute the smallest projected thickness of the bodies of a mesh, in mm on the detector."""
+    points, faces = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32)
+    body, count = label_bodies(faces, len(points))
+    volumes = np.abs(body_volumes_mm3(points, faces, body, count))
+    owner, corners = body[faces[:, 0]], points[faces]
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    areas = np.bincount(owner, doubled / 2, minlength=count)
+    depths = np.full(count, 1.0)
+    np.minimum.at(depths, owner, depth_fraction(corners[:, 0], view))
+    solid = areas > 0
+    thickness = 4 * volumes[solid] / areas[solid] / np.maximum(depths[solid], _LEAST_DEPTH)
+    return float(thickness.min(initial=np.inf))
 
 
 def compute_sampled_primary(
