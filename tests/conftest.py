@@ -20,6 +20,7 @@ from hypothesis import HealthCheck, settings
 import pssf
 from pssf import cohort, simulation, study
 from pssf.cohort import cohort_maker
+from pssf.core.processes.worker_processes import limit_manifold_to_one_thread
 from pssf.data import code_hash
 from pssf.model.protocol import Posture
 from pssf.study import StudyResult
@@ -27,6 +28,10 @@ from pssf.study import StudyResult
 # The suite starts hundreds of processes; without bytecode files each would compile every module that it imports.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+if "PYTEST_XDIST_WORKER" in os.environ:
+    # Building knees then takes 11 % less CPU time, because threads of manifold3d do not compete for the cores.
+    limit_manifold_to_one_thread()
 
 # No test has a deadline. Hypothesis derives its examples from the test's source, so that results are reproducible.
 settings.register_profile("pssf", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow])
