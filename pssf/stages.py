@@ -247,10 +247,8 @@ def sample_rays(image: LatentImage, context: StageContext) -> None:
     assert image.scene is not None
     subpixels = context.technique.protocol.subpixels
     if subpixels == 0:
-        # A sampled focal spot smooths the signal, so its central ray shows every edge.
-        sharp = image.primary or compute_primary(image.path_mm, context.technique, context.workers)
         subpixels = count_rays_for_thin_bodies(image.scene, context.technique.view)
-        if subpixels > 1 or has_unresolved_edges(sharp.kev):
+        if subpixels > 1 or _has_unresolved_edges(image, context):
             subpixels = max(subpixels, _AUTOMATIC_SUBPIXELS)
         elif context.technique.protocol.focal_spot != "sampled":
             return
@@ -260,6 +258,13 @@ def sample_rays(image: LatentImage, context: StageContext) -> None:
     )
     image.subpixels = subpixels
     image.primary_behind_grid = None
+
+
+def _has_unresolved_edges(image: LatentImage, context: StageContext) -> bool:
+    """Return whether the signal of one ray per pixel, from the centre of the focal spot, misses details."""
+    # A sampled focal spot smooths the signal, so its central ray shows every edge.
+    sharp = image.primary or compute_primary(image.path_mm, context.technique, context.workers)
+    return has_unresolved_edges(sharp.kev)
 
 
 def add_kernel_scatter(image: LatentImage, context: StageContext) -> None:

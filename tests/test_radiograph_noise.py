@@ -87,7 +87,7 @@ def test_the_simulated_noise_equals_that_of_the_radiographs(radiographs, start):
 
 
 def test_hardening_behind_a_patient_is_not_readout_noise(radiographs, start):
-    technique = dataclasses.replace(resolve_technique(dataclasses.replace(start, pixel_mm=PIXEL_MM)))
+    technique = resolve_technique(dataclasses.replace(start, pixel_mm=PIXEL_MM))
     noise = measure_radiograph_noise(radiographs, technique, None, (1.3, 2.0))
     assert np.all(np.diff(noise.spectra.hardening[np.argsort(noise.spectra.mean_dn)]) <= 1e-9)
     assert 1.08 < noise.spectra.hardening.max() < 1.35

@@ -12,7 +12,7 @@ from scipy.special import ndtr
 from ..core.checks import Array
 from .estimate import Estimate, make_estimate
 
-# Distance from the median beyond which a pixel is defective, in standard deviations from percentiles.
+# Largest distance of a sound pixel from the median, in standard deviations; these are estimated by percentiles.
 _DEFECT_DEVIATIONS = 8.0
 # Variance of rounding to whole numbers, in DN2.
 ROUNDING_VARIANCE = 1.0 / 12.0

@@ -130,10 +130,48 @@ def predict_power(detector: Detector, spectra: FlatSpectra, pixel_mm: float, noi
         Noise power divided by the pixel area, in DN2 per pixel.
     """
     signal = spectra.mean_dn[:, None]
-    quanta = signal * spectra.hardening[:, None]
     ntf = compute_transfer(detector, spectra.frequency_per_mm, "ntf")
-    readout = (detector.readout_electrons / (detector.electrons_per_dn_mm2 * pixel_mm**2)) ** 2 + ROUNDING_VARIANCE
-    return np.asarray(noise_per_signal_dn * quanta * ntf**2 + readout + (detector.gain_variation * signal) ** 2)
+    readout_dn = detector.readout_electrons / (detector.electrons_per_dn_mm2 * pixel_mm**2)
+    pattern = (detector.gain_variation * signal) ** 2
+    return add_noise_power(noise_per_signal_dn * signal * spectra.hardening[:, None] * ntf**2, readout_dn) + pattern
+
+
+def compute_ntf(frequency_per_mm: Array, f0_per_mm: float, power: float) -> Array:
+    """Compute the NTF by its equation 1 / (1 + (f / f0)^power).
+
+    Parameters
+    ----------
+    frequency_per_mm : (n,) array, 1/mm
+        Spatial frequencies f, in cycles per mm.
+    f0_per_mm : float
+        Spatial frequency f0, in 1/mm.
+    power : float
+        Exponent.
+
+    Returns
+    -------
+    (n,) float64 array
+        NTF, from 0 to 1.
+    """
+    return np.asarray(1 / (1 + (frequency_per_mm / f0_per_mm) ** power))
+
+
+def add_noise_power(quantum_dn2: Array, readout_dn: float) -> Array:
+    """Add the power of readout noise and of rounding to that of quantum noise.
+
+    Parameters
+    ----------
+    quantum_dn2 : (...) array
+        Power of the quantum noise divided by the pixel area, in squared DN.
+    readout_dn : float
+        Readout noise, in DN.
+
+    Returns
+    -------
+    (...) float64 array
+        Noise power divided by the pixel area, in DN2.
+    """
+    return np.asarray(quantum_dn2 + readout_dn**2 + ROUNDING_VARIANCE)
 
 
 class NoiseFit(NamedTuple):
@@ -193,8 +231,8 @@ def fit_noise(spectra: FlatSpectra, readout_dn: tuple[float, float] | None, star
 
     def residuals(logs: Array) -> Array:
         per_signal, f0, power, readout = np.exp(logs)
-        ntf = 1 / (1 + (spectra.frequency_per_mm / f0) ** power)
-        model = per_signal * quanta * ntf**2 + readout**2 + ROUNDING_VARIANCE + pattern * signal**2
+        ntf = compute_ntf(spectra.frequency_per_mm, f0, power)
+        model = add_noise_power(per_signal * quanta * ntf**2, readout) + pattern * signal**2
         ratio = spectra.power_dn2 / model
         deviance = np.sign(ratio - 1) * np.sqrt(np.maximum(2 * (ratio - 1 - np.log(ratio)), 0))
         terms = (deviance / spectra.relative_error).ravel()

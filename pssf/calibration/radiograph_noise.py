@@ -11,9 +11,9 @@ from ..scatter.antiscatter_grid import make_grid, transmit_through_grid
 from ..xray.materials import attenuation_per_mm
 from ..xray.resolved_technique import Technique
 from ..xray.spectrum import compute_beam
-from .dark_noise import ROUNDING_VARIANCE
-from .frequency_rings import make_rings, split_regions, transform_regions
-from .noise_spectrum import FlatSpectra, NoiseFit, fit_noise
+from .frequency_rings import Rings, make_rings, split_regions, transform_regions
+from .noise_spectrum import FlatSpectra, NoiseFit, add_noise_power, compute_ntf, fit_noise
+from .signal_response import is_saturated
 
 # Side length of a region, in pixels, and degree of the trend that is subtracted from it.
 _REGION_PX, _TREND_DEGREE = 64, 3
@@ -28,8 +28,6 @@ _LEAST_REGIONS, _PER_LEVEL, _LEVELS = 40, 20, 12
 _START = 0.05
 # Largest number of iterations of the selection.
 _ITERATIONS = 20
-# Fraction of pixels with the largest value from which a radiograph is saturated.
-_SATURATED_SHARE = 0.01
 # Quantile of the regions that is taken for the open beam, relative range of its signal, and smallest fraction of the
 # regions in this range.
 _OPEN_QUANTILE, _OPEN_RANGE, _OPEN_SHARE = 0.995, 0.1, 0.02
@@ -106,7 +104,8 @@ def measure_radiograph_noise(
     """
     offset, pixel_mm = technique.detector.offset_dn, technique.protocol.pixel_mm
     saturation = _find_saturation(radiographs)
-    regions = _measure_regions(radiographs, offset, saturation, pixel_mm)
+    rings = make_rings(_REGION_PX, pixel_mm)
+    regions = _measure_regions(radiographs, offset, saturation, rings)
     if len(regions.mean_dn) < _LEAST_REGIONS:
         raise InputError(
             f"radiographs must have at least {_LEAST_REGIONS} regions of {_REGION_PX} x {_REGION_PX} pixels below "
@@ -115,22 +114,19 @@ def measure_radiograph_noise(
     open_dn = _find_open_beam(regions.mean_dn, saturation)
     brightest = open_dn or float((saturation or regions.mean_dn.max() + offset) - offset)
     hardening = _compute_hardening(regions.mean_dn, brightest, technique)
-    spectra, fit, count = _select_and_fit(regions, hardening, pixel_mm, readout_dn, start)
+    spectra, fit, count = _select_and_fit(regions, hardening, rings, readout_dn, start)
     return RadiographNoise(spectra, fit, open_dn, saturation, count)
 
 
 def _find_saturation(radiographs: Sequence[NDArray[np.uint16]]) -> int | None:
     """Find the largest pixel value in DN if it occurs in more than 1 % of the pixels of a radiograph."""
-    tops = [int(image.max()) for image in radiographs]
-    saturated = [top for image, top in zip(radiographs, tops, strict=True) if (image == top).mean() >= _SATURATED_SHARE]
-    return min(saturated) if saturated else None
+    return min((int(image.max()) for image in radiographs if is_saturated(image)), default=None)
 
 
 def _measure_regions(
-    radiographs: Sequence[NDArray[np.uint16]], offset_dn: float, saturation_dn: int | None, pixel_mm: float
+    radiographs: Sequence[NDArray[np.uint16]], offset_dn: float, saturation_dn: int | None, rings: Rings
 ) -> _Regions:
     """Measure signal and power of all regions below saturation and above the offset."""
-    rings = make_rings(_REGION_PX, pixel_mm)
     means, powers = [], []
     for image in radiographs:
         regions = split_regions(image.astype(np.float64), _REGION_PX)
@@ -170,22 +166,21 @@ def _compute_hardening(mean_dn: Array, open_dn: float, technique: Technique) -> 
 def _select_and_fit(
     regions: _Regions,
     hardening: Array,
-    pixel_mm: float,
+    rings: Rings,
     readout_dn: tuple[float, float] | None,
     start: tuple[float, float],
 ) -> tuple[FlatSpectra, NoiseFit, int]:
     """Select homogeneous regions and fit their noise, in turns until the selection no longer changes."""
-    rings = make_rings(_REGION_PX, pixel_mm)
     low = rings.frequency_per_mm[_STRUCTURE_RINGS]
     structure = np.average(regions.power_dn2[:, _STRUCTURE_RINGS], axis=1, weights=rings.members[_STRUCTURE_RINGS])
     quanta = regions.mean_dn * hardening
     kept = structure / quanta <= np.quantile(structure / quanta, max(_START, _LEAST_REGIONS / len(quanta)))
     for _ in range(_ITERATIONS):
-        spectra = _average_levels(regions, hardening, kept, pixel_mm)
+        spectra = _average_levels(regions, hardening, kept, rings)
         fit = fit_noise(spectra, readout_dn, start)
-        ntf = 1 / (1 + (low / fit.ntf_f0_per_mm) ** fit.ntf_power)
+        ntf = compute_ntf(low, fit.ntf_f0_per_mm, fit.ntf_power)
         transfer = float(np.average(ntf**2, weights=rings.members[_STRUCTURE_RINGS]))
-        expected = fit.noise_per_signal_dn * quanta * transfer + fit.readout_dn**2 + ROUNDING_VARIANCE
+        expected = add_noise_power(fit.noise_per_signal_dn * quanta * transfer, fit.readout_dn)
         homogeneous = structure <= _HOMOGENEOUS * expected
         if homogeneous.sum() < _LEAST_REGIONS:
             raise InputError(
@@ -198,9 +193,8 @@ def _select_and_fit(
     return spectra, fit, int(kept.sum())
 
 
-def _average_levels(regions: _Regions, hardening: Array, kept: NDArray[np.bool_], pixel_mm: float) -> FlatSpectra:
+def _average_levels(regions: _Regions, hardening: Array, kept: NDArray[np.bool_], rings: Rings) -> FlatSpectra:
     """Average the spectra of regions over levels with equal numbers of regions."""
-    rings = make_rings(_REGION_PX, pixel_mm)
     order = np.flatnonzero(kept)[np.argsort(regions.mean_dn[kept], kind="stable")]
     levels = np.array_split(order, int(np.clip(len(order) // _PER_LEVEL, 2, _LEVELS)))
     return FlatSpectra(

@@ -48,6 +48,22 @@ class SignalResponse(NamedTuple):
     signal_dn: Array
 
 
+def is_saturated(image: NDArray[np.uint16]) -> bool:
+    """Return whether at least 1 % of the pixels of an image have its largest value.
+
+    Parameters
+    ----------
+    image : (rows, cols) uint16 array, DN
+        Recorded pixels.
+
+    Returns
+    -------
+    bool
+        True if the image is saturated.
+    """
+    return bool((image == image.max()).mean() >= _SATURATED_SHARE)
+
+
 def measure_signal_response(
     flats: Sequence[NDArray[np.uint16]], mas: Sequence[float], offset_dn: float, open_beam: Array
 ) -> SignalResponse:
@@ -76,7 +92,7 @@ def measure_signal_response(
     """
     region = tuple(slice(int(n * (1 - _REGION) / 2), int(np.ceil(n * (1 + _REGION) / 2))) for n in flats[0].shape)
     tops = [int(flat.max()) for flat in flats]
-    used = tuple(bool((flat == top).mean() < _SATURATED_SHARE) for flat, top in zip(flats, tops, strict=True))
+    used = tuple(not is_saturated(flat) for flat in flats)
     if not any(used):
         raise InputError(f"flat fields must be below saturation, got {len(flats)} saturated flat fields")
     values = [((flat - offset_dn) / open_beam)[region] for flat in flats]

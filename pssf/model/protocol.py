@@ -151,8 +151,8 @@ class Protocol:
         Width of the collimated field on the detector, centred on the detector; 0 irradiates the full detector width.
         Allowed: 0 to 3000 mm.
     field_height_mm : float, default 0
-        Height of the collimated field on the detector, centred on the central ray; 0 irradiates the full detector
-        height. Allowed: 0 to 3000 mm.
+        Height of the collimated field on the detector, centred on the detector; 0 irradiates the full detector height.
+        Allowed: 0 to 3000 mm.
     marker : {"none", "R", "L"}, default "none"
         Lead marker on the detector cover: letter R on the left, or letter L on the right of the radiograph.
     texture : {"trabecular", "none"}, default "trabecular"

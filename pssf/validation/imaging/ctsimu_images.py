@@ -18,6 +18,7 @@ import trimesh
 from scipy.optimize import brentq
 
 from ...core.checks import Array, InputError
+from ...data.imaging.ctsimu_table import CtsimuTable, load_ctsimu
 from ...geometry.scene import Scene, Surface
 from ...geometry.view import SIGMA_PER_FWHM
 from ...image_faults import ImageNotice
@@ -36,8 +37,6 @@ _TABLE = "ctsimu_images"
 _FREE_BEAM = 60000.0
 # Rotation of edge and wires, in degrees.
 _TILT_DEG = 3.0
-# Window of the X-ray tube, in mm aluminium, and angle of the anode that reproduces the published spectrum, in degrees.
-_WINDOW_MM_AL, _ANODE_DEG = 4.0, 15.0
 # Diameters of the wire pairs, which are also their gaps (ISO 19232-5), in mm, and length of the wires, in mm.
 _WIRES_MM = (0.8, 0.63, 0.5, 0.4, 0.32, 0.25, 0.2, 0.16, 0.13, 0.1, 0.08, 0.063, 0.05)
 _WIRE_LENGTH_MM = 15.0
@@ -71,21 +70,22 @@ def compare_images_with_ctsimu() -> list[Row]:
         importlib.import_module("ctsimu")
     except ImportError:
         raise InputError(f"table {_TABLE} needs the package ctsimu: run uv sync --group peers") from None
+    tube = load_ctsimu()
     rows: list[Row] = []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ImageNotice)
         for measure in (_measure_flat_field, _measure_noise, _measure_edge, _measure_focal_spot, _measure_wires):
-            rows += measure()
+            rows += measure(tube)
     return rows
 
 
-def _make_protocol(**fields: Any) -> Protocol:
+def _make_protocol(tube: CtsimuTable, **fields: Any) -> Protocol:
     """Make a protocol with an ideal detector, a point source, no noise and no scatter."""
     plain = replace(
         load_protocol("reference"),
         detector=load_detectors()["ideal"],
-        filtration_mm_al=_WINDOW_MM_AL,
-        anode_angle_deg=_ANODE_DEG,
+        filtration_mm_al=tube.window_mm_al,
+        anode_angle_deg=tube.anode_angle_deg,
         focal_spot_mm=0.0,
         scatter="none",
         noise="none",
@@ -145,9 +145,9 @@ class _SuiteTest:
         return self.test
 
 
-def _measure_flat_field() -> list[Row]:
+def _measure_flat_field(tube: CtsimuTable) -> list[Row]:
     """Compare a flat field with the law of distance and incidence (2D-FB-2), enlarged ten times."""
-    protocol = _make_protocol(rows=501, cols=501, pixel_mm=4.0, sdd_mm=300.0, sod_mm=50.0, tube_kv=150.0)
+    protocol = _make_protocol(tube, rows=501, cols=501, pixel_mm=4.0, sdd_mm=300.0, sod_mm=50.0, tube_kv=150.0)
     kev = simulate(Scene([]), protocol, rng=0, keep=("primary",), engine="scanline").kept["primary"][250].astype(float)
     place = 4.0 * (np.arange(501) - 250)
     expected = (1 + (place / 300.0) ** 2) ** -1.5
@@ -155,12 +155,20 @@ def _measure_flat_field() -> list[Row]:
     return [_row("2D-FB-2", "largest deviation from cos(a) / r^2, up to 73 degrees", 100 * worst, 0.0, "%")]
 
 
-def _measure_noise() -> list[Row]:
+def _measure_noise(tube: CtsimuTable) -> list[Row]:
     """Compare the signal-to-noise ratio of a flat field with its nominal value (2D-FB-1)."""
     rows = []
     for nominal in (100.0, 250.0):
         protocol = _make_protocol(
-            rows=1000, cols=1000, pixel_mm=0.1, sdd_mm=2000.0, sod_mm=1800.0, tube_kv=150.0, mas=1.0, noise="quantum"
+            tube,
+            rows=1000,
+            cols=1000,
+            pixel_mm=0.1,
+            sdd_mm=2000.0,
+            sod_mm=1800.0,
+            tube_kv=150.0,
+            mas=1.0,
+            noise="quantum",
         )
         beam = compute_beam(resolve_technique(protocol))
         signal, square = (beam.photons_per_mm2 @ each for each in (beam.signal_kev, beam.square_kev2))
@@ -173,25 +181,25 @@ def _measure_noise() -> list[Row]:
     return rows
 
 
-def _measure_edge() -> list[Row]:
+def _measure_edge(tube: CtsimuTable) -> list[Row]:
     """Compare pixels that a tilted edge covers partly with their covered area (2D-WE-2)."""
     rows, suite = [], _SuiteTest("2D_WE_2")
     for subpixels in (1, 3, 5):
-        protocol = _make_edge_protocol(tube_kv=50.0, subpixels=subpixels)
+        protocol = _make_edge_protocol(tube, tube_kv=50.0, subpixels=subpixels)
         test = suite.evaluate(_simulate_grey(_make_edge(), protocol))
-        rays = f"{subpixels**2} rays" if subpixels > 1 else "1 ray"
+        rays = _name_rays(subpixels)
         matched, rms = 100 * test.matchRatio, 100 * test.partlyCovered_rmsd / _FREE_BEAM
         rows.append(_row("2D-WE-2", f"pixels partly covered in both images, {rays}", matched, 100.0, "%"))
         rows.append(_row("2D-WE-2", f"RMS difference of these pixels, {rays}", rms, 0.0, "%"))
     return rows
 
 
-def _measure_focal_spot() -> list[Row]:
+def _measure_focal_spot(tube: CtsimuTable) -> list[Row]:
     """Compare the blur of an edge by a Gaussian focal spot with its expected value (2D-WE-1)."""
     rows, suite = [], _SuiteTest("2D_WE_1", list(_EXPECTED_LSF_UM))
     for run, (name, sigma_mm) in enumerate((("spot1", 0.008), ("spot2", 0.024))):
         protocol = _make_edge_protocol(
-            tube_kv=150.0, subpixels=5, focal_spot_mm=sigma_mm / SIGMA_PER_FWHM, focal_spot_shape="gaussian"
+            tube, tube_kv=150.0, subpixels=5, focal_spot_mm=sigma_mm / SIGMA_PER_FWHM, focal_spot_shape="gaussian"
         )
         result = suite.evaluate(_simulate_grey(_make_edge(), protocol)).results[run]
         measured = 1000 * result.measuredGaussianSigmaPX * result.pixelSize
@@ -200,9 +208,9 @@ def _measure_focal_spot() -> list[Row]:
     return rows
 
 
-def _make_edge_protocol(**fields: Any) -> Protocol:
+def _make_edge_protocol(tube: CtsimuTable, **fields: Any) -> Protocol:
     """Make the protocol of the tests with an edge."""
-    return _make_protocol(rows=1001, cols=1001, pixel_mm=0.008, sdd_mm=1000.0, sod_mm=500.0, **fields)
+    return _make_protocol(tube, rows=1001, cols=1001, pixel_mm=0.008, sdd_mm=1000.0, sod_mm=500.0, **fields)
 
 
 def _make_edge() -> Scene:
@@ -212,12 +220,12 @@ def _make_edge() -> Scene:
     return Scene([Surface(mesh, _OPAQUE, "air", "edge")])
 
 
-def _measure_wires() -> list[Row]:
+def _measure_wires(tube: CtsimuTable) -> list[Row]:
     """Compare the basic spatial resolution, read from wire pairs, with its nominal value (2D-DW-1)."""
     rows = []
     for name, nominal_mm in (("SR75", 0.075), ("SR150", 0.15)):
         for subpixels in (1, 5):
-            protocol = _make_wire_protocol(subpixels=subpixels)
+            protocol = _make_wire_protocol(tube, subpixels=subpixels)
             frequency = np.linspace(0.0, _MTF_PER_MM, 401)
             sigma = find_blur_of_resolution(nominal_mm, protocol)
             mtf = np.exp(-2 * (np.pi * frequency * sigma) ** 2)
@@ -225,17 +233,16 @@ def _measure_wires() -> list[Row]:
             detector = replace(load_detectors()["ideal"], mtf=table)
             blurred = replace(protocol, detector=detector, detector_blur="mtf")
             test = _SuiteTest("2D_DW_1", [name]).evaluate(_simulate_grey(_make_wires(), blurred))
-            rays = f"{subpixels**2} rays" if subpixels > 1 else "1 ray"
-            label = f"basic spatial resolution, {rays}"
+            label = f"basic spatial resolution, {_name_rays(subpixels)}"
             rows.append(_row("2D-DW-1", label, 1000 * test.results[0].SRb_interpolated, 1000 * nominal_mm, "um"))
     return rows
 
 
-def _make_wire_protocol(**fields: Any) -> Protocol:
+def _make_wire_protocol(tube: CtsimuTable, **fields: Any) -> Protocol:
     """Make the protocol of the test with wire pairs."""
     return _make_protocol(
-        rows=1000, cols=2000, pixel_mm=0.05, sdd_mm=1000.0, sod_mm=998.6, tube_kv=220.0, filters=(("Cu@8.96", 2.0),),
-        **fields,
+        tube, rows=1000, cols=2000, pixel_mm=0.05, sdd_mm=1000.0, sod_mm=998.6, tube_kv=220.0,
+        filters=(("Cu@8.96", 2.0),), **fields,
     )  # fmt: skip
 
 
@@ -286,6 +293,11 @@ def find_blur_of_resolution(resolution_mm: float, protocol: Protocol) -> float:
         return (dip - blurred(0.0, sigma)) / dip - _DEPTH
 
     return float(brentq(depth, 0.2 * resolution_mm, 1.5 * resolution_mm))
+
+
+def _name_rays(subpixels: int) -> str:
+    """Name the number of rays per pixel."""
+    return f"{subpixels**2} rays" if subpixels > 1 else "1 ray"
 
 
 def _row(test: str, quantity: str, measured: float, expected: float, unit: str) -> Row:

@@ -12,7 +12,7 @@ from ...data.imaging.ctsimu_table import CtsimuTable, WedgeReference, load_ctsim
 from ...geometry.scene import Scene, Surface
 from ...image_faults import ImageNotice
 from ...simulation import simulate
-from .ctsimu_wedges import STEPS, compute_wedge_signals, make_wedge_protocol
+from .ctsimu_wedges import STEPS, compare_with_codes, compute_wedge_signals, list_path_lengths_mm, make_wedge_protocol
 
 Row = dict[str, Any]
 # Photons of a Monte Carlo simulation.
@@ -119,8 +119,8 @@ def make_wedge_scene(material: str, table: CtsimuTable) -> Scene:
     geometry, known = table.geometry, table.material[material]
     half = geometry.pixels_per_step * geometry.pixel_mm / 2 - _GAP_MM / 2
     surfaces = []
-    for number, centre in enumerate(_step_centres_mm(table)[:-1]):
-        mm = known.thinnest_mm + known.step_mm * (STEPS - 1 - number)
+    steps = zip(_step_centres_mm(table)[:-1], list_path_lengths_mm(known), strict=True)
+    for number, (centre, mm) in enumerate(steps):
         radii = (geometry.middle_mm - mm / 2, geometry.middle_mm + mm / 2)
         across, along = (-geometry.width_mm / 2, geometry.width_mm / 2), (centre - half, centre + half)
         mesh = _make_shell_part(radii, across, along, geometry.sdd_mm)
@@ -175,15 +175,13 @@ def _compare_total(wedge: WedgeReference, table: CtsimuTable, photons: int) -> R
     primary = (np.array([wedge.rosi, wedge.mcray]) / free_beams).mean(axis=0)
     scatter = compute_wedge_scatter(wedge, table, photons)
     total = compute_wedge_signals(wedge, table) + scatter
-    deviation = total / codes.mean(axis=0) - 1
     ratio = scatter / (codes.mean(axis=0) - primary)
     thick = ratio[: STEPS - 1]
     return {
         "detector": wedge.detector.replace("_", " "),
         "wedge": wedge.material,
         "beam": wedge.beam,
-        "steps_within": int((np.abs(total - codes) <= spread).any(axis=0).sum()),
-        "deviation_percent": round(100 * float(deviation[np.abs(deviation).argmax()]), 1),
+        **compare_with_codes(total, codes, spread),
         "scatter_ratio": round(float(thick.mean()), 3),
         "scatter_ratio_low": round(float(thick.min()), 3),
         "scatter_ratio_high": round(float(thick.max()), 3),

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ...core.checks import Array
-from ...data.imaging.ctsimu_table import CtsimuTable, WedgeReference, load_ctsimu
+from ...data.imaging.ctsimu_table import CtsimuTable, WedgeMaterial, WedgeReference, load_ctsimu
 from ...model.detector import Detector, load_detectors
 from ...model.protocol import Protocol, load_protocol
 from ...xray.materials import attenuation_per_mm, parse_compound
@@ -54,12 +54,28 @@ def compute_wedge_signals(wedge: WedgeReference, table: CtsimuTable, *, escape: 
     """
     known = table.material[wedge.material]
     material = parse_compound(f"{wedge.material}@{known.density_g_per_cm3}")
-    path_mm = np.append(known.thinnest_mm + known.step_mm * np.arange(STEPS - 1, -1, -1), 0.0)
+    path_mm = np.append(list_path_lengths_mm(known), 0.0)
     protocol = make_wedge_protocol(wedge, table, escape=escape)
     beam = compute_beam(resolve_technique(protocol), [material])
     weights = beam.photons_per_mm2 * beam.signal_kev
     passed = np.exp(-np.outer(path_mm, attenuation_per_mm(material, beam.energies_kev)))
     return np.asarray(passed @ weights / weights.sum())
+
+
+def list_path_lengths_mm(wedge: WedgeMaterial) -> Array:
+    """List the path lengths in the steps of a wedge.
+
+    Parameters
+    ----------
+    wedge : WedgeMaterial
+        Material with the thinnest step and the increase per step.
+
+    Returns
+    -------
+    (9,) float64 array
+        Path lengths from the thickest to the thinnest step, in mm.
+    """
+    return np.asarray(wedge.thinnest_mm + wedge.step_mm * np.arange(STEPS - 1, -1, -1))
 
 
 def make_wedge_protocol(wedge: WedgeReference, table: CtsimuTable, *, escape: bool = True) -> Protocol:
@@ -81,6 +97,29 @@ def make_wedge_protocol(wedge: WedgeReference, table: CtsimuTable, *, escape: bo
     """
     detector = _make_detector(wedge.detector)
     return replace(_make_beam_protocol(wedge.beam, table), detector=detector if escape else detector.without_escape())
+
+
+def compare_with_codes(signal: Array, codes: Array, spread: Array) -> Row:
+    """Compare signals with the grey values of the two codes.
+
+    Parameters
+    ----------
+    signal : (10,) array, dimensionless
+        Signals relative to the free beam.
+    codes, spread : (2, 10) array, dimensionless
+        Means and standard deviations of the grey values of the codes, relative to the free beam.
+
+    Returns
+    -------
+    dict
+        ``steps_within`` counts the signals within one standard deviation of at least one code. ``deviation_percent`` is
+        the largest deviation from the mean of the codes.
+    """
+    deviation = signal / codes.mean(axis=0) - 1
+    return {
+        "steps_within": int((np.abs(signal - codes) <= spread).any(axis=0).sum()),
+        "deviation_percent": round(100 * float(deviation[np.abs(deviation).argmax()]), 1),
+    }
 
 
 def _make_detector(name: str) -> Detector:
@@ -112,12 +151,10 @@ def _compare_wedge(wedge: WedgeReference, table: CtsimuTable) -> Row:
     codes = np.array([wedge.rosi, wedge.mcray])
     spread = np.array([wedge.rosi_sd, wedge.mcray_sd]) / codes[:, -1:]
     codes = codes / codes[:, -1:]
-    mean = codes.mean(axis=0)
     row: Row = {"detector": wedge.detector.replace("_", " "), "wedge": wedge.material, "beam": wedge.beam}
     for label, escape in (("", True), ("_without_escape", False)):
         signal = compute_wedge_signals(wedge, table, escape=escape)
-        deviation = signal / mean - 1
-        row[f"steps_within{label}"] = int((np.abs(signal - codes) <= spread).any(axis=0).sum())
-        row[f"deviation_percent{label}"] = round(100 * float(deviation[np.abs(deviation).argmax()]), 1)
+        agreement = compare_with_codes(signal, codes, spread)
+        row |= {f"{name}{label}": value for name, value in agreement.items()}
     row["codes_differ_percent"] = round(100 * float(np.abs(codes[0] / codes[1] - 1).max()), 1)
     return row
