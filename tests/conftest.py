@@ -19,9 +19,11 @@ from hypothesis import HealthCheck, settings
 
 import pssf
 from pssf import cohort, simulation, study
+from pssf.anatomy import knee_pair
 from pssf.cohort import cohort_maker
 from pssf.core.processes.worker_processes import limit_manifold_to_one_thread
 from pssf.data import code_hash
+from pssf.dataset import sample
 from pssf.model.protocol import Posture
 from pssf.study import StudyResult
 
@@ -95,7 +97,7 @@ def small_protocols(tmp_path_factory) -> list[str]:
     return paths
 
 
-_MOST_BUILT_KNEES = 8
+_MOST_BUILT_KNEES = 12
 _built_knees: dict[tuple[pssf.Knee, Posture], pssf.BuiltKnee] = {}
 
 
@@ -117,7 +119,7 @@ def forget_built_knees() -> None:
 def built_once() -> Iterator[None]:
     """Cache the knees that are built in the test process; worker processes have no such cache."""
     with pytest.MonkeyPatch.context() as patch:
-        for module in (simulation, cohort_maker):
+        for module in (simulation, cohort_maker, knee_pair, sample):
             patch.setattr(module, "build", build_once)
         yield
         forget_built_knees()

@@ -310,7 +310,7 @@ def _read_files(folder):
 
 
 def test_a_data_set_has_the_same_bytes_for_any_workers_and_after_an_interruption(tmp_path):
-    settings = DatasetSettings(images=8, split=(0.5, 0.25, 0.25), maps=("cortical_bone",), randomise=("mild",), **SMALL)
+    settings = DatasetSettings(images=4, split=(0.5, 0.25, 0.25), maps=("cortical_bone",), randomise=("mild",), **SMALL)
     make_dataset(settings, tmp_path / "one", workers=1)
     expected = _read_files(tmp_path / "one")
     make_dataset(settings, tmp_path / "two", workers=2)
@@ -321,9 +321,9 @@ def test_a_data_set_has_the_same_bytes_for_any_workers_and_after_an_interruption
     (tmp_path / "two/index.csv").unlink()
     kept, made = [], []
     make_dataset(settings, tmp_path / "two", workers=1, progress=made.append, on_kept=kept.append)
-    assert (sum(kept), sum(made)) == (2, 6)
+    assert (sum(kept), sum(made)) == (1, 3)
     assert _read_files(tmp_path / "two") == expected
-    assert verify_dataset(tmp_path / "two") == (8, [])
+    assert verify_dataset(tmp_path / "two") == (4, [])
     _require_readable(tmp_path / "two", settings)
     damaged = next((tmp_path / "two/train/linear").iterdir())
     damaged.write_bytes(b"")
@@ -346,7 +346,7 @@ def _require_readable(folder, settings):
     """Require that the files of a data set agree with each other."""
     tables = load_dataset_tables(settings)
     coco = json.loads((folder / "coco_train.json").read_text())
-    assert len(coco["images"]) == 4
+    assert len(coco["images"]) == 2
     for image in coco["images"]:
         name = image["file_name"].split("/")[-1].removesuffix(".png")
         display = np.array(Image.open(folder / image["file_name"]))
@@ -363,7 +363,7 @@ def _require_readable(folder, settings):
         assert {tables.definitions.label_map["femur"]} <= set(np.unique(label_map))
         assert {part["name"] for part in (*parts, knee)} == {part["name"] for part in labels["instances"]}
     header = (folder / "index.csv").read_text().splitlines()
-    assert len(header) == 9
+    assert len(header) == 5
 
 
 def test_parquet_and_croissant_describe_the_index(tmp_path):

@@ -42,11 +42,14 @@ if TYPE_CHECKING:
     from .types import T
 
 RATE = 2
+UNIT = load_data_table("rate")
 """,
     "pssf/late.py": "OFFSET = 1\n",
     "pssf/types.py": "T = int\n",
-    "pssf/other.py": "SIZE = 3\n",
-    "pssf/data/detector.toml": "# Gain.\ngain = 1.5\n",
+    "pssf/other.py": "SIZE = load_data_table('size')\n",
+    "pssf/data/detector.toml": "# Gain.\ngain = 1.5\nlabel = 'gain'\n",
+    "pssf/data/rate.toml": "rate = 2\n",
+    "pssf/data/size.toml": "size = 3\n",
     "protocols/reference.toml": "tube_kv = 60\n",
     "docs/validation/page.md": "# Page\n\n```{measured-table} decay\n```\n",
     "docs/validation/tables/.keep": "",
@@ -86,11 +89,14 @@ def run(store, *words):
         ("pssf/late.py", "OFFSET = 1", "OFFSET = 2", "code"),
         ("pssf/measure.py", "RATE + OFFSET", "RATE - OFFSET", "code"),
         ("pssf/data/detector.toml", "gain = 1.5", "gain = 1.6", "data"),
+        ("pssf/data/rate.toml", "rate = 2", "rate = 3", "data"),
         ("protocols/reference.toml", "tube_kv = 60", "tube_kv = 70", "data"),
         ("pssf/formula.py", "A formula.", "Another text.", ""),
         ("pssf/formula.py", "RATE = 2", "# A comment.\nRATE  =  2", ""),
         ("pssf/data/detector.toml", "# Gain.", "# Gain of the detector.", ""),
-        ("pssf/other.py", "SIZE = 3", "SIZE = 4", ""),
+        ("pssf/data/detector.toml", "label = 'gain'", "label = 'conversion'", ""),
+        ("pssf/other.py", "SIZE =", "WIDTH =", ""),
+        ("pssf/data/size.toml", "size = 3", "size = 4", ""),
         ("pssf/types.py", "T = int", "T = float", ""),
     ],
 )

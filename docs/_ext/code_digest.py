@@ -4,12 +4,36 @@ import ast
 import hashlib
 import json
 import tomllib
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
+
+# Keys of texts for readers in TOML files; the texts have no effect on a digest, like comments.
+_TEXT_KEYS = {"description", "label", "source"}
+
+
+@dataclass(frozen=True)
+class Module:
+    """Parsed module.
+
+    Attributes
+    ----------
+    code_hash : str
+        SHA-256 of the code; comments, docstrings and formatting have no effect.
+    imports : frozenset of str
+        Names of the modules of the package that it imports.
+    tables : frozenset of str
+        Names of the tables of ``pssf/data`` that it reads with ``load_data_table``.
+    """
+
+    code_hash: str
+    imports: frozenset[str]
+    tables: frozenset[str]
 
 
 @cache
-def load_package(checkout: Path) -> dict[str, tuple[str, frozenset[str]]]:
+def load_package(checkout: Path) -> dict[str, Module]:
     """Parse every module of the package once.
 
     Parameters
@@ -19,9 +43,8 @@ def load_package(checkout: Path) -> dict[str, tuple[str, frozenset[str]]]:
 
     Returns
     -------
-    dict of str to (str, frozenset of str) tuple
-        SHA-256 of the code of each module, and names of the modules that it imports, keyed by module name. Comments,
-        docstrings and formatting have no effect on the hash.
+    dict of str to Module
+        Hash, imports and tables of each module, keyed by module name.
 
     Raises
     ------
@@ -39,7 +62,8 @@ def load_package(checkout: Path) -> dict[str, tuple[str, frozenset[str]]]:
         # `from package import name` imports a module of the package, or a name that its __init__.py defines.
         reached = {full if full in modules else full.rpartition(".")[0] for full in imported} & modules.keys()
         _drop_docstrings(tree)
-        parsed[name] = (hashlib.sha256(ast.dump(tree).encode()).hexdigest(), frozenset(reached))
+        code_hash = hashlib.sha256(ast.dump(tree).encode()).hexdigest()
+        parsed[name] = Module(code_hash, frozenset(reached), _find_tables(tree))
     return parsed
 
 
@@ -65,7 +89,7 @@ def compute_code_digest(checkout: Path, measured_by: tuple[str, ...]) -> str:
     """
     package = load_package(checkout)
     reached = list_reached_modules(checkout, measured_by)
-    return hashlib.sha256("".join(f"{name} {package[name][0]}\n" for name in reached).encode()).hexdigest()
+    return hashlib.sha256("".join(f"{name} {package[name].code_hash}\n" for name in reached).encode()).hexdigest()
 
 
 def list_reached_modules(checkout: Path, measured_by: tuple[str, ...]) -> list[str]:
@@ -96,31 +120,43 @@ def list_reached_modules(checkout: Path, measured_by: tuple[str, ...]) -> list[s
             raise ValueError(f"measured_by must name modules of {checkout / 'pssf'}, got {name}")
         if name not in reached:
             reached.add(name)
-            waiting += package[name][1]
+            waiting += package[name].imports
     return sorted(reached)
 
 
 @cache
-def compute_data_digest(checkout: Path) -> str:
+def compute_data_digest(checkout: Path, measured_by: tuple[str, ...]) -> str:
     """Compute the digest of the data files of the package and of the protocols.
 
-    TOML files are compared by their values, so comments have no effect.
+    Left out are tables that only modules read which the given modules do not import. TOML files are compared by their
+    values, so comments have no effect; nor have descriptions, labels and sources.
 
     Parameters
     ----------
     checkout : Path
         Source folder.
+    measured_by : tuple of str
+        Modules that measure a table.
 
     Returns
     -------
     str
         SHA-256 in hexadecimal digits.
+
+    Raises
+    ------
+    ValueError
+        If `measured_by` names a module that the package does not have.
     """
+    package = load_package(checkout)
+    reached = {name for module in list_reached_modules(checkout, measured_by) for name in package[module].tables}
+    unread = {f"pssf/data/{name}.toml" for module in package.values() for name in module.tables - reached}
     digest = hashlib.sha256()
     for folder in ("pssf/data", "protocols"):
         for path in sorted((checkout / folder).rglob("*")):
-            if path.suffix in (".toml", ".npz"):
-                digest.update(f"{path.relative_to(checkout).as_posix()}\n".encode() + _read_values(path))
+            name = path.relative_to(checkout).as_posix()
+            if path.suffix in (".toml", ".npz") and name not in unread:
+                digest.update(f"{name}\n".encode() + _read_values(path))
     return digest.hexdigest()
 
 
@@ -129,7 +165,14 @@ def _read_values(path: Path) -> bytes:
     content = path.read_bytes()
     if path.suffix != ".toml":
         return content
-    return json.dumps(tomllib.loads(content.decode()), default=str).encode()
+    return json.dumps(_drop_texts(tomllib.loads(content.decode())), default=str).encode()
+
+
+def _drop_texts(value: Any) -> Any:
+    """Remove texts for readers from the values of a TOML file."""
+    if isinstance(value, dict):
+        return {key: _drop_texts(one) for key, one in value.items() if not (key in _TEXT_KEYS and isinstance(one, str))}
+    return [_drop_texts(one) for one in value] if isinstance(value, list) else value
 
 
 def _name_module(path: Path) -> str:
@@ -156,6 +199,18 @@ def _find_imports(tree: ast.Module, module: str, is_package: bool) -> set[str]:
             base = [*base, *(node.module or "").split(".")] if node.module else base
             names |= {".".join([*base, alias.name]) for alias in node.names}
     return names
+
+
+def _find_tables(tree: ast.Module) -> frozenset[str]:
+    """List the names of tables that calls of ``load_data_table`` contain."""
+    calls = (node for node in ast.walk(tree) if isinstance(node, ast.Call) and node.args)
+    return frozenset(
+        call.args[0].value
+        for call in calls
+        if isinstance(call.func, ast.Name)
+        and call.func.id == "load_data_table"
+        and isinstance(call.args[0], ast.Constant)
+    )
 
 
 def _drop_docstrings(tree: ast.Module) -> None:

@@ -114,7 +114,7 @@ class TableStore:
         folder = (checkout or self.root).resolve()
         return {
             "code": compute_code_digest(folder, layout.measured_by),
-            "data": compute_data_digest(folder),
+            "data": compute_data_digest(folder, layout.measured_by),
             "command": hashlib.sha256(layout.command.encode()).hexdigest(),
         }
 
