@@ -87,14 +87,17 @@ def scene(built: pssf.BuiltKnee) -> pssf.Scene:
 @pytest.fixture(scope="session")
 def small_protocols(tmp_path_factory) -> list[str]:
     """Write two protocols with tiny detectors and return their paths."""
-    folder, paths = tmp_path_factory.mktemp("protocols"), []
-    for name in ("reference", "low_dose"):
-        protocol = dataclasses.replace(pssf.load_protocol(name), rows=64, cols=64, pixel_mm=4.8)
-        fields = {k: v for k, v in dataclasses.asdict(protocol).items() if v is not None}
-        path = folder / f"{name}.toml"
-        path.write_text("".join(f"{k} = {json.dumps(v)}\n" for k, v in fields.items()))
-        paths.append(str(path))
-    return paths
+    folder = tmp_path_factory.mktemp("protocols")
+    return [write_small_protocol(folder, name) for name in ("reference", "low_dose")]
+
+
+def write_small_protocol(folder: Path, name: str) -> str:
+    """Write a protocol with 64 x 64 pixels of 4.8 mm and return its path."""
+    protocol = dataclasses.replace(pssf.load_protocol(name), rows=64, cols=64, pixel_mm=4.8)
+    fields = {k: v for k, v in dataclasses.asdict(protocol).items() if v is not None}
+    path = folder / f"{name}.toml"
+    path.write_text("".join(f"{k} = {json.dumps(v)}\n" for k, v in fields.items()))
+    return str(path)
 
 
 _MOST_BUILT_KNEES = 12

@@ -5,6 +5,7 @@ import json
 
 import numpy as np
 import pytest
+from conftest import write_small_protocol
 
 import pssf
 from pssf import InputError
@@ -44,7 +45,7 @@ OWN_COLUMNS = [
 def labelled_cohort(small_protocols, tmp_path_factory):
     folder = tmp_path_factory.mktemp("labelled_cohort") / "cohort"
     overrides = {"knees": [1, 1], "protocols": small_protocols[:1], "grade_table": "population"}
-    make_cohort(plan_cohort("quick", seed=5, overrides=overrides), folder)
+    make_cohort(plan_cohort("quick", seed=5, overrides=overrides), folder, workers=1)
     return folder
 
 
@@ -118,8 +119,8 @@ def test_inter_margin_label_equals_the_distance_on_the_built_knee(labelled_cohor
 
 
 def test_a_lateral_view_raises_an_error_before_labels_are_written(small_protocols, tmp_path):
-    overrides = {"knees": [1], "protocols": [small_protocols[0], "lateral"]}
-    make_cohort(plan_cohort("quick", seed=5, overrides=overrides), tmp_path / "cohort")
+    overrides = {"knees": [1], "protocols": [small_protocols[0], write_small_protocol(tmp_path, "lateral")]}
+    make_cohort(plan_cohort("quick", seed=5, overrides=overrides), tmp_path / "cohort", workers=1)
     with pytest.raises(InputError, match=r"projection must be AP or PA .* got 'ML'"):
         write_labels(tmp_path / "cohort", tmp_path / "labels")
     assert not (tmp_path / "labels").exists()

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from block_knee_cohort import SIZE, SMALL, TEMPLATE, make_cohort
+from block_knee_cohort import LIGHT, SIZE, SMALL, TEMPLATE, make_cohort
 
 from pssf import study
 from pssf.core.checks import InputError
@@ -220,7 +220,7 @@ def test_rejected_regions_and_subjects_ordered_by_grade_are_reported(tmp_path):
             return np.random.default_rng(0).integers(900, 1100, (SIZE, SIZE)).astype(np.uint16)
         return make_cohort().load(file)
 
-    found = study.run(manifest, load, [TEMPLATE], SMALL, tmp_path)
+    found = study.run(manifest, load, [TEMPLATE], LIGHT, tmp_path)
     assert found.localisation.iloc[-1]["rejected"] == 3
     assert "P14" not in set(pd.read_csv(found.tables["predictions"])["subject"])
     assert set(found.reliability["subjects"]) == {14}
@@ -230,7 +230,7 @@ def test_rejected_regions_and_subjects_ordered_by_grade_are_reported(tmp_path):
 def test_a_cohort_of_one_protocol_and_two_grades_has_a_report(tmp_path):
     manifest = make_cohort().manifest
     part = manifest[(manifest["protocol"] == "reference") & (manifest["grade"] != 1)]
-    found = study.run(part, make_cohort().load, [TEMPLATE], SMALL, tmp_path)
+    found = study.run(part, make_cohort().load, [TEMPLATE], LIGHT, tmp_path)
     assert set(found.scores["scenario"]) == {"within"}
     assert found.reliability.empty
     page = found.report.read_text(encoding="utf-8")

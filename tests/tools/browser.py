@@ -3,13 +3,14 @@
 from shutil import which
 
 _BROWSER_NAMES = ("chromium", "chromium-browser", "google-chrome")
-# The sandbox is disabled, because the root user of a container cannot use it. WebGL is rendered on the CPU. Background
-# network features are disabled.
+# The sandbox is disabled, because the root user of a container cannot use it. WebGL is rendered on the CPU; the page is
+# composed without it, which takes a tenth of the time. Background network features are disabled.
 CHROMIUM_FLAGS = [
     "--no-sandbox",
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
+    "--disable-gpu-compositing",
     "--disable-quic",
     "--no-first-run",
     "--disable-background-networking",
