@@ -102,7 +102,7 @@ def write_film(
 TEMPLATE = Template(
     pixels=render_block_knee(0, 128, 140, "right", 3.0, 60000, 0), row=128, col=140, pixel_mm=PIXEL_MM, plateau_mm=74.0
 )
-SMALL = StudySettings(region_px=80, bins=32, repeats=2, replicates=200, selections=("l1",), models=("lr", "rf"))
+SMALL = StudySettings(region_px=80, bins=32, repeats=2, replicates=200, selections=("l1",), models=("lr",))
 # Settings of the smallest study with patient films: one protocol, two grades and two feature families.
 LIGHT = StudySettings(
     region_px=80, bins=32, repeats=1, replicates=100, selections=("l1",), models=("lr",), families=("shape2D", "glcm")

@@ -3,6 +3,7 @@
 import tomllib
 
 import numpy as np
+import pytest
 from tools import side_pattern_fit
 
 from pssf.data.analysis.localisation_table import load_localisation_settings
@@ -32,6 +33,7 @@ def test_side_weights_are_evaluated_on_held_out_knees(monkeypatch):
     assert table["block"] == 2
 
 
+@pytest.mark.slow
 def test_edges_of_sampled_left_and_right_knees_give_the_same_evidence(monkeypatch):
     weights = np.array([TABLE.sides.down, TABLE.sides.right])
     sampled = {}

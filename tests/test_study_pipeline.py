@@ -172,7 +172,7 @@ def test_repeated_radiographs_are_used_only_for_reliability(result):
 
 def test_saved_models_are_trained_on_all_subjects(result):
     sets = {"0v2_reference": (10, 10), "0v2_all": (10, 30), "012_reference": (15, 15), "012_all": (15, 45)}
-    assert set(result.models) == {f"{model}_l1_{name}" for model in ("lr", "rf") for name in sets}
+    assert set(result.models) == {f"lr_l1_{name}" for name in sets}
     features = load_table(result.tables["features"], TEXT_COLUMNS)
     for name, path in result.models.items():
         model = unpack_model(path.read_bytes(), name)
