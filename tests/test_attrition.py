@@ -40,7 +40,7 @@ def test_bone_on_bone_contact_has_no_overlap_and_the_specified_jsw(built, jsw_me
 
 
 # In these knees a worn spine moves the plateau floor, or the plateau wears almost as fast as the femur descends.
-@pytest.mark.parametrize("number", [559, 1039])
+@pytest.mark.parametrize("number", [559, pytest.param(1039, marks=pytest.mark.slow)])
 def test_jsw_is_as_specified_over_a_worn_plateau(number):
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))
     knee = pssf.sample_knee(grade=4, rng=rng, grade_table="population")

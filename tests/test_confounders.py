@@ -14,7 +14,7 @@ from pssf.study.report.report_sections import make_confounders_section
 from pssf.study.statistics.analyses import confounding_effects as statistics
 
 NAMES = ["glcm_own", "glcm_of_bmi", "glcm_of_site"]
-SETTINGS = StudySettings(repeats=10, selections=("l1",), models=("lr",))
+SETTINGS = StudySettings(repeats=6, selections=("l1",), models=("lr",))
 
 
 def make_cohort(seed: int = 0, subjects: int = 240) -> pd.DataFrame:

@@ -150,6 +150,7 @@ def resolve_with_mass(thickness_mm):
     return resolve_technique(dataclasses.replace(pssf.load_protocol("reference"), detector=detector))
 
 
+@pytest.mark.slow
 def test_a_wedge_at_two_tube_voltages_gives_voltage_filtration_and_thickness():
     true, start = resolve_with_mass(0.4), resolve_with_mass(0.55)
     fit = fit_beam([make_wedge(true, kv, 1.02, 3.6) for kv in (50.0, 80.0)], start, "Al@2.70")
@@ -206,6 +207,7 @@ def test_without_a_wedge_the_beam_is_held(images, blind):
     assert estimates["mtf_f0_per_mm"].source == "measured"
 
 
+@pytest.mark.slow
 def test_flat_fields_may_be_smaller_than_the_wedge_images(images, blind, calibration):
     small = tuple(flat[384:640, 384:640] for flat in images.flats)
     result = calibrate_detector(dataclasses.replace(images, flats=small, darks=images.darks), blind.nominal)

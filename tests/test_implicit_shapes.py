@@ -72,7 +72,7 @@ def test_the_marrow_depth_equals_cortex_and_subchondral_plate(bone, cortex, plat
     assert deviations.max() < 0.3
 
 
-@pytest.mark.parametrize("number", range(4))
+@pytest.mark.parametrize("number", [*(pytest.param(number, marks=pytest.mark.slow) for number in range(3)), 3])
 def test_a_knee_with_many_osteophytes_has_no_negative_path_length(number):
     rng = np.random.default_rng(number)
     sites = rng.permutation(OSTEOPHYTE_SITES)[: 2 + number]
@@ -218,7 +218,9 @@ def test_a_medullary_canal_with_a_crescent_tip_does_not_fold():
     assert (normals[tip, 2] < 0).all()
 
 
-@pytest.mark.parametrize("number", [1416, 1462, 1536, 1542])
+@pytest.mark.parametrize(
+    "number", [1416, *(pytest.param(number, marks=pytest.mark.slow) for number in (1462, 1536, 1542))]
+)
 def test_the_trabecular_bone_of_knees_with_osteophytes_is_one_piece(number):
     rng = np.random.default_rng(np.random.SeedSequence(number, spawn_key=(1,)))
     built = anatomy.build(sample_wide_range_knee(rng, 13))

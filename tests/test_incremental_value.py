@@ -140,7 +140,7 @@ def test_time_exponent_is_fitted_to_the_number_of_training_subjects(monkeypatch)
 
 
 def test_predictor_sets_report_the_seconds_of_each_split():
-    known = make_predictors(0, texture=1.0, subjects=60)
+    known = make_predictors(0, texture=1.0, subjects=30)
     shared = {
         "known": known,
         "predictor_sets": incremental_value.find_predictor_sets(known, NAMES),

@@ -111,7 +111,7 @@ def test_a_chance_association_of_protocol_and_grade_gives_only_a_note():
 
 
 @pytest.mark.parametrize("pairs", [False, True], ids=["one knee", "two identical knees"])
-@pytest.mark.parametrize("subjects", [24, 90])
+@pytest.mark.parametrize("subjects", [24, pytest.param(90, marks=pytest.mark.slow)])
 def test_at_most_one_in_twenty_random_cohorts_gives_a_protocol_warning(subjects, pairs):
     found = 0
     for seed in range(200):

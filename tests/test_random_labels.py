@@ -16,6 +16,7 @@ from pssf.validation.study_methods.random_label_test import (
 )
 
 
+@pytest.mark.slow
 def test_claims_of_the_study_rarely_hold_for_random_labels():
     # Each measure supports a false claim in 2.5 % of cohorts; a claim has two to four, mostly correlated measures.
     rows = count_false_claims(1, cohorts=1)

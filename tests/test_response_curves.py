@@ -206,6 +206,7 @@ def test_all_test_subjects_have_response_curves_and_none_is_in_training():
     assert halves != split_curve_subjects(base, curved, 0, 4)
 
 
+@pytest.mark.slow
 def test_auc_intervals_have_nominal_coverage_for_repeated_halves():
     """Use a marker without training and with known AUC; curve knees and test subjects are selected at random."""
     distance, cohorts, rng = 1.5, 200, np.random.default_rng(0)
