@@ -128,8 +128,9 @@ def list_reached_modules(checkout: Path, measured_by: tuple[str, ...]) -> list[s
 def compute_data_digest(checkout: Path, measured_by: tuple[str, ...]) -> str:
     """Compute the digest of the data files of the package and of the protocols.
 
-    Left out are tables that only modules read which the given modules do not import. TOML files are compared by their
-    values, so comments have no effect; nor have descriptions, labels and sources.
+    Left out are tables that only modules read which the given modules do not import, and arrays that are kept because
+    the code of the package takes minutes to compute them. TOML files are compared by their values, so comments have no
+    effect; nor have descriptions, labels and sources.
 
     Parameters
     ----------
@@ -155,17 +156,10 @@ def compute_data_digest(checkout: Path, measured_by: tuple[str, ...]) -> str:
     for folder in ("pssf/data", "protocols"):
         for path in sorted((checkout / folder).rglob("*")):
             name = path.relative_to(checkout).as_posix()
-            if path.suffix in (".toml", ".npz") and name not in unread:
-                digest.update(f"{name}\n".encode() + _read_values(path))
+            if path.suffix == ".toml" and name not in unread:
+                values = json.dumps(_drop_texts(tomllib.loads(path.read_text(encoding="utf-8"))), default=str)
+                digest.update(f"{name}\n{values}".encode())
     return digest.hexdigest()
-
-
-def _read_values(path: Path) -> bytes:
-    """Read a data file as bytes; the values of a TOML file are converted to JSON."""
-    content = path.read_bytes()
-    if path.suffix != ".toml":
-        return content
-    return json.dumps(_drop_texts(tomllib.loads(content.decode())), default=str).encode()
 
 
 def _drop_texts(value: Any) -> Any:

@@ -147,14 +147,17 @@ def compute_scatter_transmission(grid: Grid, beam: Beam, gap_mm: float, limb: Ma
     slopes = across / (gap_mm + _SCATTER_DEPTH_MM)
     lengths = np.sqrt(far2) / (gap_mm + _SCATTER_DEPTH_MM)
     mu = _strip_attenuation_per_mm(beam.energies_kev)
-    # The transmission is symmetric in the slope, so only non-negative slopes are computed.
-    right = len(slopes) // 2
-    passed = [
-        _compute_transmission(grid, mu, slope, line)
-        for slope, line in zip(slopes[right:], lengths[right:], strict=True)
-    ]
-    passed = [*passed[:0:-1], *passed]
-    return float((np.array(passed) * seen[:, :, None] / seen.sum()).sum(axis=(0, 1)) @ weights)
+    # The transmission is symmetric in both directions, so only one quarter of the surface is computed.
+    right, ahead = len(slopes) // 2, len(along) // 2
+    passed = np.array(
+        [
+            _compute_transmission(grid, mu, slope, line[ahead:])
+            for slope, line in zip(slopes[right:], lengths[right:], strict=True)
+        ]
+    )
+    passed = np.concatenate((passed[:0:-1], passed))
+    passed = np.concatenate((passed[:, :0:-1], passed), axis=1)
+    return float((passed * seen[:, :, None] / seen.sum()).sum(axis=(0, 1)) @ weights)
 
 
 def _strip_attenuation_per_mm(energies_kev: Array) -> Array:

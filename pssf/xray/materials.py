@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from functools import cache
+from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -173,7 +173,7 @@ def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> A
     """
     compound = xraylib.CompoundParser(formula)
     parts = zip(compound["Elements"], compound["massFractions"], strict=True)
-    mu = sum(w * np.array([xraylib.CS_Photo(z, e) + xraylib.CS_Compt(z, e) for e in energies_kev]) for z, w in parts)
+    mu = sum(w * _sum_cross_sections(("CS_Photo", "CS_Compt"), z, energies_kev) for z, w in parts)
     return 1 - np.exp(-mu * mg_per_cm2 / 1000)
 
 
@@ -239,4 +239,19 @@ def _parse_density(material: str) -> float:
 
 def _mass_attenuation_cm2_per_g(weights: tuple[tuple[int, float], ...], energies_kev: Array) -> Array:
     """Compute the mass attenuation coefficient (bins,) of a mixture of elements, in cm2/g."""
-    return np.sum([w * np.array([xraylib.CS_Total(z, float(e)) for e in energies_kev]) for z, w in weights], axis=0)
+    return np.sum([w * _sum_cross_sections(("CS_Total",), z, energies_kev) for z, w in weights], axis=0)
+
+
+def _sum_cross_sections(interactions: tuple[str, ...], z: int, energies_kev: Array) -> Array:
+    """Sum cross sections (bins,) of an element in cm2/g; an image needs the same ones a dozen times."""
+    return _compute_cross_sections(interactions, z, np.asarray(energies_kev, np.float64).tobytes())
+
+
+@lru_cache(maxsize=2048)
+def _compute_cross_sections(interactions: tuple[str, ...], z: int, energies_kev: bytes) -> Array:
+    """Compute cross sections of an element in cm2/g at energies given as float64 bytes; results are cached."""
+    functions = [getattr(xraylib, name) for name in interactions]
+    energies = np.frombuffer(energies_kev).tolist()
+    sections = np.array([sum(function(z, energy) for function in functions) for energy in energies])
+    sections.flags.writeable = False
+    return sections
