@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 from ..core.checks import Array
 from ..geometry.view import magnification, resolve_view
 from ..model.protocol import Protocol
-from ..xray.materials import Material
+from ..xray.materials import Material, sum_cross_sections
 from ..xray.resolved_technique import Technique
 from ..xray.spectrum import compute_beam, compute_source_spectrum
 
@@ -39,7 +39,7 @@ def energy_transfer_cm2_per_g(air: Material, energies_kev: Array) -> Array:
     coefficients of xraylib are not used, because their interpolation is too coarse (a third too low at 20 keV).
     """
     photo, compton = (
-        np.array([sum(share * one(z, float(energy)) for z, share in air.elements) for energy in energies_kev])
+        sum(share * sum_cross_sections((one,), z, energies_kev) for z, share in air.elements)
         for one in (xraylib.CS_Photo, xraylib.CS_Compt)
     )
     return np.asarray(photo + compton * _compton_transfer_fraction(energies_kev))
@@ -97,7 +97,7 @@ def half_value_layers_mm_al(air: Material, energies_kev: Array, photons_per_mm2:
     second : float
         Second half-value layer, in mm of aluminium.
     """
-    mu = np.array([xraylib.CS_Total(13, float(energy)) * 2.699 / 10 for energy in energies_kev])
+    mu = sum_cross_sections((xraylib.CS_Total,), 13, energies_kev) * 2.699 / 10
     whole = air_kerma_ugy(air, energies_kev, photons_per_mm2)
 
     def excess(depth_mm: float, share: float) -> float:

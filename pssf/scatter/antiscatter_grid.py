@@ -149,14 +149,11 @@ def compute_scatter_transmission(grid: Grid, beam: Beam, gap_mm: float, limb: Ma
     mu = _strip_attenuation_per_mm(beam.energies_kev)
     # The transmission is symmetric in both directions, so only one quarter of the surface is computed.
     right, ahead = len(slopes) // 2, len(along) // 2
-    passed = np.array(
-        [
-            _compute_transmission(grid, mu, slope, line[ahead:])
-            for slope, line in zip(slopes[right:], lengths[right:], strict=True)
-        ]
-    )
-    passed = np.concatenate((passed[:0:-1], passed))
-    passed = np.concatenate((passed[:, :0:-1], passed), axis=1)
+    quarter = [
+        _compute_transmission(grid, mu, slope, line[ahead:])
+        for slope, line in zip(slopes[right:], lengths[right:], strict=True)
+    ]
+    passed = np.pad(quarter, ((right, 0), (ahead, 0), (0, 0)), mode="reflect")
     return float((passed * seen[:, :, None] / seen.sum()).sum(axis=(0, 1)) @ weights)
 
 

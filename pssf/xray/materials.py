@@ -1,6 +1,6 @@
 """Attenuation of tissues, metals and compounds (cross sections from xraylib)."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from functools import cache, lru_cache
 from typing import NamedTuple
@@ -16,6 +16,8 @@ from ..core.checks import (
 )
 from ..data.anatomy.tissue_table import Tissue
 
+# Function of xraylib that maps an atomic number and an energy in keV to a cross section in cm2/g.
+CrossSection = Callable[[int, float], float]
 # Centimetres per millimetre.
 _CM_PER_MM = 0.1
 # Description of valid material names, for error messages.
@@ -173,8 +175,29 @@ def absorbed_fraction(formula: str, mg_per_cm2: float, energies_kev: Array) -> A
     """
     compound = xraylib.CompoundParser(formula)
     parts = zip(compound["Elements"], compound["massFractions"], strict=True)
-    mu = sum(w * _sum_cross_sections(("CS_Photo", "CS_Compt"), z, energies_kev) for z, w in parts)
+    mu = sum(w * sum_cross_sections((xraylib.CS_Photo, xraylib.CS_Compt), z, energies_kev) for z, w in parts)
     return 1 - np.exp(-mu * mg_per_cm2 / 1000)
+
+
+def sum_cross_sections(interactions: tuple[CrossSection, ...], z: int, energies_kev: Array) -> Array:
+    """Sum the cross sections of an element over several interactions.
+
+    Parameters
+    ----------
+    interactions : tuple of callable
+        Functions of xraylib that map an atomic number and an energy in keV to a cross section in cm2/g.
+    z : int
+        Atomic number.
+    energies_kev : (bins,) array, keV
+        Photon energies.
+
+    Returns
+    -------
+    (bins,) float64 array
+        Cross sections, in cm2/g. The array is read-only, because an image needs the same one a dozen times and further
+        calls return it again.
+    """
+    return _compute_cross_sections(interactions, z, np.asarray(energies_kev, np.float64).tobytes())
 
 
 @cache
@@ -239,19 +262,13 @@ def _parse_density(material: str) -> float:
 
 def _mass_attenuation_cm2_per_g(weights: tuple[tuple[int, float], ...], energies_kev: Array) -> Array:
     """Compute the mass attenuation coefficient (bins,) of a mixture of elements, in cm2/g."""
-    return np.sum([w * _sum_cross_sections(("CS_Total",), z, energies_kev) for z, w in weights], axis=0)
-
-
-def _sum_cross_sections(interactions: tuple[str, ...], z: int, energies_kev: Array) -> Array:
-    """Sum cross sections (bins,) of an element in cm2/g; an image needs the same ones a dozen times."""
-    return _compute_cross_sections(interactions, z, np.asarray(energies_kev, np.float64).tobytes())
+    return np.sum([w * sum_cross_sections((xraylib.CS_Total,), z, energies_kev) for z, w in weights], axis=0)
 
 
 @lru_cache(maxsize=2048)
-def _compute_cross_sections(interactions: tuple[str, ...], z: int, energies_kev: bytes) -> Array:
+def _compute_cross_sections(interactions: tuple[CrossSection, ...], z: int, energies_kev: bytes) -> Array:
     """Compute cross sections of an element in cm2/g at energies given as float64 bytes; results are cached."""
-    functions = [getattr(xraylib, name) for name in interactions]
     energies = np.frombuffer(energies_kev).tolist()
-    sections = np.array([sum(function(z, energy) for function in functions) for energy in energies])
+    sections = np.array([sum(function(z, energy) for function in interactions) for energy in energies])
     sections.flags.writeable = False
     return sections

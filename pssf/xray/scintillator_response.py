@@ -16,7 +16,7 @@ from ..core.checks import Array
 from ..core.numba_kernel import kernel, kernel_helper
 from ..data.array_cache import Arrays, CacheKey, load_or_make_arrays
 from ..model.detector import Detector
-from .materials import Material, absorbed_fraction, attenuation_per_mm, parse_compound
+from .materials import Material, absorbed_fraction, attenuation_per_mm, parse_compound, sum_cross_sections
 from .photon_interactions import CUT_OFF_KEV, InteractionTables, make_interaction_tables, table_energies_kev
 from .photon_sampling import (
     find_first_above,
@@ -297,13 +297,13 @@ def make_layer_tables(material: Material) -> tuple[InteractionTables, KShells, t
         Energies of the edges of these shells, in keV.
     """
     energies = table_energies_kev(_MAX_KEV, _STEP_KEV)
-    total = sum(w * np.array([xraylib.CS_Photo(z, float(e)) for e in energies]) for z, w in material.elements)
+    photo = {z: w * sum_cross_sections((xraylib.CS_Photo,), z, energies) for z, w in material.elements}
+    total = sum(photo.values())
     chances, lines, cdfs, edges = [], [], [], []
-    for z, weight in material.elements:
+    for z, own in photo.items():
         edge = xraylib.EdgeEnergy(z, xraylib.K_SHELL)
         if edge < _LEAST_K_EDGE_KEV:
             continue
-        own = weight * np.array([xraylib.CS_Photo(z, float(e)) for e in energies])
         chances.append(own / total * _k_shell_fractions(z, energies) * xraylib.FluorYield(z, xraylib.K_SHELL))
         rates = np.array([xraylib.RadRate(z, line) for line in _K_LINES])
         lines.append([xraylib.LineEnergy(z, line) for line in _K_LINES])
