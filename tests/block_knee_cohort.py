@@ -1,6 +1,7 @@
 """A fast synthetic cohort for the study: radiographs of knees made of two blocks, and patient films of them."""
 
 import hashlib
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -104,9 +105,7 @@ TEMPLATE = Template(
 )
 SMALL = StudySettings(region_px=80, bins=32, repeats=2, replicates=200, selections=("l1",), models=("lr",))
 # Settings of the smallest study with patient films: one protocol, two grades and two feature families.
-LIGHT = StudySettings(
-    region_px=80, bins=32, repeats=1, replicates=100, selections=("l1",), models=("lr",), families=("shape2D", "glcm")
-)
+LIGHT = replace(SMALL, repeats=1, replicates=100, families=("shape2D", "glcm"))
 
 
 @cache

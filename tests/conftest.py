@@ -93,9 +93,13 @@ def small_protocols(tmp_path_factory) -> list[str]:
 
 def write_small_protocol(folder: Path, name: str) -> str:
     """Write a protocol with 64 x 64 pixels of 4.8 mm and return its path."""
-    protocol = dataclasses.replace(pssf.load_protocol(name), rows=64, cols=64, pixel_mm=4.8)
+    return write_protocol(folder, dataclasses.replace(pssf.load_protocol(name), rows=64, cols=64, pixel_mm=4.8))
+
+
+def write_protocol(folder: Path, protocol: pssf.Protocol) -> str:
+    """Write a protocol as a file with its name and return the path."""
     fields = {k: v for k, v in dataclasses.asdict(protocol).items() if v is not None}
-    path = folder / f"{name}.toml"
+    path = folder / f"{protocol.name}.toml"
     path.write_text("".join(f"{k} = {json.dumps(v)}\n" for k, v in fields.items()))
     return str(path)
 

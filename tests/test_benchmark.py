@@ -8,6 +8,7 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
+from conftest import write_protocol
 
 import pssf
 from pssf import cohort, simulation
@@ -51,14 +52,8 @@ def make_template():
 def tiny(tmp_path_factory):
     """Make the small benchmark twice; return the first result, its file hashes and the stages of the second run."""
     folder = tmp_path_factory.mktemp("benchmark")
-    fields = {
-        name: value
-        for name, value in dataclasses.asdict(load_small_protocol("fixed_flexion")).items()
-        if value is not None
-    }
-    path = folder / "fixed_flexion.toml"
-    path.write_text("".join(f"{name} = {json.dumps(value)}\n" for name, value in fields.items()))
-    templates, overrides = (make_template(),), {**FEW_KNEES, "protocols": (str(path),)}
+    path = write_protocol(folder, load_small_protocol("fixed_flexion"))
+    templates, overrides = (make_template(),), {**FEW_KNEES, "protocols": (path,)}
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(benchmark_maker, "make_standard_templates", lambda workers: templates)
         # Subjects are numbered by grade, so that a leakage warning is raised.

@@ -5,6 +5,7 @@ import json
 
 import pandas as pd
 import pytest
+from conftest import write_small_protocol
 
 import pssf
 from pssf import experiment
@@ -22,11 +23,7 @@ from pssf.study import StudyResult, StudySettings, resume
 
 def write_tiny_cohort_settings(folder):
     """Write a protocol of 64 x 64 pixels and return settings for a cohort of two knees."""
-    protocol = dataclasses.replace(pssf.load_protocol("reference"), rows=64, cols=64, pixel_mm=4.8)
-    fields = {name: value for name, value in dataclasses.asdict(protocol).items() if value is not None}
-    path = folder / "reference.toml"
-    path.write_text("".join(f"{name} = {json.dumps(value)}\n" for name, value in fields.items()))
-    return {"knees": [0, 1, 1], "protocols": [str(path)], "retested": 1}
+    return {"knees": [0, 1, 1], "protocols": [write_small_protocol(folder, "reference")], "retested": 1}
 
 
 def make_tiny_experiment(folder, cohort, **settings):

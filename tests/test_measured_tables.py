@@ -75,7 +75,7 @@ def replace_text(path, before, after):
     assert before in text
     path.write_text(text.replace(before, after))
     code_digest.load_package.cache_clear()
-    code_digest.compute_data_digest.cache_clear()
+    code_digest._load_values.cache_clear()
 
 
 def run(store, *words):

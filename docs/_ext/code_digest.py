@@ -124,7 +124,6 @@ def list_reached_modules(checkout: Path, measured_by: tuple[str, ...]) -> list[s
     return sorted(reached)
 
 
-@cache
 def compute_data_digest(checkout: Path, measured_by: tuple[str, ...]) -> str:
     """Compute the digest of the data files of the package and of the protocols.
 
@@ -152,14 +151,20 @@ def compute_data_digest(checkout: Path, measured_by: tuple[str, ...]) -> str:
     package = load_package(checkout)
     reached = {name for module in list_reached_modules(checkout, measured_by) for name in package[module].tables}
     unread = {f"pssf/data/{name}.toml" for module in package.values() for name in module.tables - reached}
-    digest = hashlib.sha256()
+    values = _load_values(checkout)
+    return hashlib.sha256("".join(text for name, text in values.items() if name not in unread).encode()).hexdigest()
+
+
+@cache
+def _load_values(checkout: Path) -> dict[str, str]:
+    """Load every TOML file of the data and protocols once, as its name and its values without texts for readers."""
+    values = {}
     for folder in ("pssf/data", "protocols"):
-        for path in sorted((checkout / folder).rglob("*")):
+        for path in sorted((checkout / folder).rglob("*.toml")):
             name = path.relative_to(checkout).as_posix()
-            if path.suffix == ".toml" and name not in unread:
-                values = json.dumps(_drop_texts(tomllib.loads(path.read_text(encoding="utf-8"))), default=str)
-                digest.update(f"{name}\n{values}".encode())
-    return digest.hexdigest()
+            content = _drop_texts(tomllib.loads(path.read_text(encoding="utf-8")))
+            values[name] = f"{name}\n{json.dumps(content, default=str)}"
+    return values
 
 
 def _drop_texts(value: Any) -> Any:
