@@ -10,16 +10,18 @@ size and the side of the knee therefore do not affect the result.
 ``*_spine``
     Highest point of the contour on each side of the centre of the plateau.
 ``between_spines``
-    Lowest point between the spines.
+    Point on the contour at a fixed fraction of the distance along x from the lateral to the medial spine, as in the
+    annotations. The lowest point would be 1.1 mm further lateral, with twice the variation of the annotations.
 ``tibia_*_1``, ``tibia_*_2``
     Points at fixed fractions of the distance from edge to spine, as in the annotations. The lateral points are on the
     contour, and the medial points are on the floor of the plateau.
-``notch_top``
-    Highest point of the lower femoral contour within the central quarter of its width.
 ``femur_*_notch``
-    Point at which the contour has risen by a fixed fraction of the height from the condyle to the top of the notch. The
-    fraction is the mean of the annotations over five KL grades: 0.355 (0.347 to 0.363) laterally and 0.404 (0.386 to
-    0.422) medially.
+    Point at which the contour has risen by a fixed fraction of the height from the condyle to the highest point of the
+    notch. The fraction is the mean of the annotations over five KL grades: 0.355 (0.347 to 0.363) laterally and 0.404
+    (0.386 to 0.422) medially. The highest point is searched for within the central quarter of the femoral width.
+``notch_top``
+    Point on the contour halfway along x between the lateral and the medial notch point. In each KL grade, the mean of
+    the annotations is within 0.3 mm of this position. The roof of the notch is flat, so that its highest point varies.
 ``femur_*_condyle``
     Point on the contour halfway along x between edge and notch.
 
@@ -53,6 +55,9 @@ CONTOUR_LANDMARKS = TIBIAL_LANDMARKS + FEMORAL_LANDMARKS
 _EDGE_TO_SPINE_FRACTIONS = {"lateral": (0.356, 0.709), "medial": (0.392, 0.779)}
 # Search range for a spine on each side of the plateau centre, as a fraction of the plateau width.
 _SPINE_SEARCH_FRACTION = 0.22
+# Position of the point between the spines along x, as a fraction of the distance from the lateral to the medial spine:
+# mean of the annotations over five KL grades (0.465 to 0.492; Tiulpin et al. 2019).
+_BETWEEN_SPINES_FRACTION = 0.475
 # Search range for the notch top on each side of the femoral centre, as a fraction of the femoral width.
 _NOTCH_REACH = 0.125
 # Heights of the lateral and medial notch points above the condyle, as fractions of the height of the notch top above
@@ -221,7 +226,7 @@ def _find_tibial_landmarks(points_mm: Array, tibia: Mesh) -> list[tuple[float, f
         line = lateral[1] + (x - lateral[0]) / width * (medial[1] - lateral[1])
         floors.append((x, _find_floor_height_mm(_cut_section(points_mm, tibia, x), line - _PLATEAU_UNDER * width)))
     tops = [contour.find_nearest_point(x) for x in ways["lateral"]]
-    valley = contour.crop_between(spines[0][0], spines[1][0]).find_lowest_point()
+    valley = contour.find_nearest_point(spines[0][0] + _BETWEEN_SPINES_FRACTION * (spines[1][0] - spines[0][0]))
     return [lateral, *tops, spines[0], valley, spines[1], *floors[::-1], medial]
 
 
@@ -259,4 +264,5 @@ def _find_femoral_landmarks(points_mm: Array, sides: Indices) -> list[tuple[floa
         # The notch landmark is the first point from the condyle towards the notch that exceeds the specified height.
         notch = wall.find_nearest_point(risen[np.abs(risen - edge[0]).argmin()])
         by_side.append([edge, contour.find_nearest_point((edge[0] + notch[0]) / 2), notch])
-    return [*by_side[0], top, *by_side[1][::-1]]
+    middle_of_notch = contour.find_nearest_point((by_side[0][-1][0] + by_side[1][-1][0]) / 2)
+    return [*by_side[0], middle_of_notch, *by_side[1][::-1]]
