@@ -15,6 +15,8 @@ simulation  knee, protocol       -> radiograph
 io          reading and writing of files; no other subpackage writes files
 cohort      preset, seed         -> radiographs and their manifest
 dataset     settings             -> labelled images for the training of networks
+reader      image                -> landmarks, joint space and bone masks     (extra "reader")
+reader_training  data set        -> networks of the reader                    (extra "train")
 torch       data sets of PyTorch                                     (extra "torch")
 radiomics   radiograph           -> region and features              (extra "study")
 study       features             -> models, statistics, report       (extra "study")

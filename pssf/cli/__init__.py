@@ -5,6 +5,8 @@ dataset_command     dataset
 benchmark_command   benchmark
 study_command       study
 predict_command     predict
+reader_command      landmarks, train-reader
+film_arguments      radiographs that the user names
 features_command    features
 calibrate_command   calibrate
 measuring_commands  validate, quality, compare-patients, separability, protocols, knees
@@ -30,6 +32,7 @@ from .dataset_command import dataset_app
 from .explore_command import explore
 from .features_command import features
 from .predict_command import predict
+from .reader_command import landmarks, train_reader
 from .study_command import study
 
 app = typer.Typer(
@@ -63,7 +66,7 @@ _RENAMED_COMMANDS = {
 # Commands that are newer than the deprecated names, and use some of these names for options of their own.
 _COMMANDS_WITHOUT_RENAMES = ("dataset",)
 _COMMANDS = (
-    *(making_commands.simulate, making_commands.meshes, benchmark, study, predict, features),
+    *(making_commands.simulate, making_commands.meshes, benchmark, study, predict, features, landmarks, train_reader),
     *(
         measuring_commands.validate,
         measuring_commands.quality,

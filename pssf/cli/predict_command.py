@@ -2,14 +2,12 @@
 
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from .film_arguments import collect_films, make_unique_stem
 from .shared_options import Out, Processes
-
-if TYPE_CHECKING:
-    from ..io.patients.patient_radiographs import Film
 
 
 def predict(
@@ -61,7 +59,7 @@ def predict(
     from ..study.prediction.film_prediction import draw_film_region, predict_films
 
     loaded = unpack_model(study_results.load_bytes(model), f"file {model}")
-    listed = [film for path in films for film in _collect_films(path, side, pixel_mm)]
+    listed = [film for path in films for film in collect_films(path, side, pixel_mm)]
     other = describe_version_differences(loaded.card)
     if other:
         print(
@@ -82,48 +80,6 @@ def predict(
         if row["row_px"] == row["row_px"]:  # NaN means that no joint was searched for.
             write_image_row(
                 [draw_film_region(loaded, row, Path(), linear=linear)],
-                out / "pictures" / f"{_make_unique_stem(row['file'], taken)}.png",
+                out / "pictures" / f"{make_unique_stem(row['file'], taken)}.png",
             )
     print(f"table     {out / 'film_predictions.csv'}")
-
-
-def _collect_films(path: Path, side: str, pixel_mm: float) -> "list[Film]":
-    """List the radiographs of a path.
-
-    The specified side and pixel size are used for radiographs whose file names and tables do not contain them.
-    """
-    from dataclasses import replace
-
-    from ..core.checks import require_choice, require_in_range
-    from ..io.cohort_records import hash_file
-    from ..io.patients.patient_list import (
-        SIDES,
-        Film,
-        list_films,
-        parse_subject_and_side,
-        require_film,
-    )
-
-    if side:
-        require_choice("side", side, SIDES)
-    if pixel_mm:
-        require_in_range("pixel-mm", pixel_mm, 0.01, 5, "mm")
-    if path.is_dir() or path.suffix.lower() == ".csv":
-        folder = path if path.is_dir() else path.parent
-        films = [replace(film, file=(folder / film.file).as_posix()) for film in list_films(path)]
-    else:
-        require_film(path)
-        file, (subject, own) = path.as_posix(), parse_subject_and_side(path.stem)
-        films = [Film(file=file, grade=None, subject=subject, side=own, pixel_mm=None, sha256=hash_file(path))]
-    return [replace(f, side=f.side or side or None, pixel_mm=f.pixel_mm or pixel_mm or None) for f in films]
-
-
-def _make_unique_stem(file: str, used_names: set[str]) -> str:
-    """Return the stem of a file, with a number appended if another file has the same stem."""
-    stem, count = Path(file).stem, 1
-    name = stem
-    while name in used_names:
-        count += 1
-        name = f"{stem}_{count}"
-    used_names.add(name)
-    return name

@@ -1,0 +1,135 @@
+"""Commands of the reader: landmarks, train-reader."""
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .film_arguments import collect_films, make_unique_stem
+from .shared_options import Out, Processes, Seed
+
+if TYPE_CHECKING:
+    from ..io.patients.patient_radiographs import Film
+    from ..reader import Reader
+
+Networks = Annotated[
+    Path | None, typer.Option(help="Folder with networks made by pssf train-reader; default: those of the package.")
+]
+
+
+def landmarks(
+    films: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="FILM...", help="Radiographs, folders of radiographs, or CSV files that list radiographs."
+        ),
+    ],
+    *,
+    out: Out,
+    pixel_mm: Annotated[
+        float, typer.Option(help="Pixel size in mm, if not in a table; 0 reads it from the file if it is there.")
+    ] = 0.0,
+    networks: Networks = None,
+) -> None:
+    """Find landmarks, joint space and bone masks on frontal knee radiographs.
+
+    The command writes landmarks.csv and landmarks.json with one entry per knee, and per knee a landmark file (.pts) and
+    per radiograph a picture. The networks were trained on simulated radiographs alone. They are for research, not for
+    diagnosis.
+    """
+    from ..core.checks import InputError
+    from ..core.processes.execution import Execution
+    from ..core.progress_display import show_progress_bar
+    from ..io.atomic_write import write_bytes
+    from ..io.cohort_records import encode_csv
+    from ..io.landmark_files import write_landmark_json
+    from ..reader import load_reader
+
+    reader = load_reader(networks)
+    listed = [film for path in films for film in collect_films(path, "", pixel_mm)]
+    rows: list[dict[str, Any]] = []
+    taken: set[str] = set()
+    with Execution(progress_bar=show_progress_bar).stage("landmarks", "radiographs", len(listed)) as stage:
+        for film in listed:
+            try:
+                rows += _read_film(film, reader, out, make_unique_stem(film.file, taken))
+            except InputError as error:
+                rows.append({"file": film.file, "status": f"unreadable: {error}"})
+            stage.advance(1)
+    for row in rows:
+        if row["status"] != "read":
+            print(f"pssf: {row['file']}: {row['status']}", file=sys.stderr)
+    # The first row of a radiograph without a knee lacks columns, so rows with all columns determine their order.
+    ordered = sorted(rows, key=lambda row: -len(row))[:1]
+    columns = dict.fromkeys(name for row in ordered for name in row)
+    write_bytes(out / "landmarks.csv", encode_csv([{name: row.get(name) for name in columns} for row in rows]))
+    write_landmark_json(out / "landmarks.json", rows)
+    count = sum(row["status"] == "read" for row in rows)
+    print(f"table     {out / 'landmarks.csv'}, {count} of {len(rows)} knees read")
+
+
+def _read_film(film: "Film", reader: "Reader", out: Path, stem: str) -> list[dict[str, Any]]:
+    """Read one radiograph, write its landmark files and picture, and return its rows."""
+    from ..io.landmark_files import write_overlay, write_pts
+    from ..io.patients.patient_radiographs import read_film
+    from ..reader import read
+    from ..reader.film_overlay import draw_overlay
+    from ..reader.reading_rows import make_rows
+
+    image = read_film(film.file)
+    knees = read(image.pixels, pixel_mm=film.pixel_mm or image.pixel_mm, reader=reader)
+    for knee in knees:
+        write_pts(out / "points" / f"{stem}_{knee.side}.pts", knee.landmarks_px)
+    write_overlay(out / "pictures" / f"{stem}.png", draw_overlay(image.pixels, knees))
+    return make_rows(film.file, knees)
+
+
+def train_reader(
+    *,
+    out: Out,
+    workers: Processes,
+    images: Annotated[int, typer.Option(help="Number of simulated radiographs.")] = 4000,
+    seed: Seed = 0,
+    data: Annotated[
+        Path | None, typer.Option(help="Existing data set made by pssf dataset; default: simulate one in --out.")
+    ] = None,
+    landmark_steps: Annotated[
+        int, typer.Option(help="Training steps of the network that finds landmarks and masks.")
+    ] = 6000,
+    locator_steps: Annotated[int, typer.Option(help="Training steps of the network that finds knees.")] = 3000,
+    randomisation: Annotated[str, typer.Option(help="Random change of grey values: none, mild or strong.")] = "strong",
+) -> None:
+    """Train the reader on simulated radiographs, and write its networks.
+
+    Requires the extra train. An interrupted run continues where it stopped, with the same options.
+    """
+    from ..core.checks import InputError, require_workers
+    from ..dataset import DatasetSettings
+    from .dataset_command import make
+
+    require_workers(workers, "processes")
+    try:
+        from ..reader_training.reader_maker import make_reader
+        from ..reader_training.training_settings import ReaderTrainingSettings
+    except ModuleNotFoundError as error:
+        raise InputError(f"train-reader needs {error.name}: pip install 'pssf[train]'") from error
+    settings = ReaderTrainingSettings(
+        images=images,
+        seed=seed,
+        landmark_steps=landmark_steps,
+        locator_steps=locator_steps,
+        randomisation=randomisation,
+    )
+    folder = out / "data" if data is None else data
+    if data is None:
+        make(DatasetSettings(images=images, seed=seed, matrix=1024, kinds=("display",)), folder, workers, None)
+    errors, _ = make_reader(
+        folder,
+        settings,
+        out,
+        lambda name, done, of, loss: print(f"{name:<9} {done} of {of} steps, loss {loss:.3f}", flush=True),
+    )
+    mean = sum(errors.landmark_mm.values()) / len(errors.landmark_mm)
+    print(f"errors    landmarks {mean:.2f} mm on simulated radiographs for tests")
+    print(f"networks  {out}")

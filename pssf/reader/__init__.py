@@ -1,0 +1,16 @@
+"""Read landmarks, joint space and bone masks on frontal radiographs, with networks that were trained on simulations.
+
+read         image           -> landmarks, masks and joint measures of each knee
+load_reader  folder          -> networks and thresholds
+
+knee_frame      position, size, rotation and side of a knee; crops in its frame
+networks        networks in ONNX format, and positions from heat maps
+knee_finder     knees on a radiograph
+joint_measures  joint space widths and joint-line convergence from landmarks
+reader_table    mean shape and thresholds
+knee_reading    reading of a radiograph
+"""
+
+from .knee_reading import KneeReading, Reader, load_reader, read
+
+__all__ = ["KneeReading", "Reader", "load_reader", "read"]

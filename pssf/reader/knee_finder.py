@@ -1,0 +1,90 @@
+"""Find the knees on a radiograph or a crop of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+
+from ..core.checks import Array
+from .knee_frame import Grey, KneeFrame, fit_frame, normalise_grey
+from .networks import Network
+
+# Half the side of the window around the highest value, in pixels of the heat map, from which the position is computed.
+_WINDOW_PX = 4
+# Distance between the middles of two knees below which both are the same knee, as a fraction of the larger plateau.
+_SAME_KNEE = 0.7
+
+
+@dataclass(frozen=True, kw_only=True)
+class KneeCandidate:
+    """Knee that the network found.
+
+    Attributes
+    ----------
+    frame : KneeFrame
+        Frame of the knee on the image.
+    score : float
+        Lower of the scores of both plateau edges, 0 to 1.
+    """
+
+    frame: KneeFrame
+    score: float
+
+
+def find_knees(image: Grey, locator: Network, min_score: float) -> list[KneeCandidate]:
+    """Find up to one right and one left knee.
+
+    Parameters
+    ----------
+    image : (rows, cols) float32 array
+        Grey values.
+    locator : Network
+        Network that finds knees.
+    min_score : float
+        Least score of a knee, 0 to 1.
+
+    Returns
+    -------
+    list of KneeCandidate
+        Knees from the viewer's left to the viewer's right; empty if no knee has the score.
+    """
+    size = locator.settings.crop_px
+    whole = KneeFrame(
+        centre_px=((image.shape[0] - 1) / 2, (image.shape[1] - 1) / 2),
+        width_px=max(image.shape) / size,
+        angle_rad=0.0,
+        side="right",
+    )
+    heat_maps, _ = locator.run(normalise_grey(*whole.cut_crop(image, 1.0, size)))
+    scores = expit(heat_maps)
+    knees = []
+    stride = locator.settings.stride
+    for side, pair in (("right", scores[:2]), ("left", scores[2:])):
+        edges = np.array([_find_peak(score) for score in pair]) * stride + (stride - 1) / 2
+        frame = fit_frame(whole.map_to_image(edges, 1.0, size), side)
+        score = float(pair.max(axis=(1, 2)).min())
+        # The lateral edge of a right knee is on the viewer's left; the network may exchange the edges of another thing.
+        if score >= min_score and frame.width_px > 0 and abs(frame.angle_rad) < np.pi / 2:
+            knees.append(KneeCandidate(frame=frame, score=score))
+    return sorted(_drop_second_side(knees), key=lambda knee: knee.frame.centre_px[1])
+
+
+def _find_peak(score: NDArray[np.floating]) -> Array:
+    """Return row and column of the highest value, as the mean position near it weighted by the score."""
+    row, col = np.unravel_index(int(score.argmax()), score.shape)
+    rows = slice(max(int(row) - _WINDOW_PX, 0), int(row) + _WINDOW_PX + 1)
+    cols = slice(max(int(col) - _WINDOW_PX, 0), int(col) + _WINDOW_PX + 1)
+    weight = score[rows, cols] ** 2
+    places = np.moveaxis(np.indices(weight.shape), 0, -1) + np.array([rows.start, cols.start])
+    return (places * weight[..., None]).sum(axis=(0, 1)) / weight.sum()
+
+
+def _drop_second_side(knees: list[KneeCandidate]) -> list[KneeCandidate]:
+    """Keep the side with the higher score if both candidates are at the same place."""
+    if len(knees) == 2:
+        first, second = knees
+        distance = np.hypot(*np.subtract(first.frame.centre_px, second.frame.centre_px))
+        if distance < _SAME_KNEE * max(first.frame.width_px, second.frame.width_px):
+            return [max(knees, key=lambda knee: knee.score)]
+    return knees

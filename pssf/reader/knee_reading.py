@@ -1,0 +1,252 @@
+"""Read landmarks, masks and joint measures of the knees on a radiograph."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
+from ..core.checks import Array, InputError, require_in_range
+from .joint_measures import JointMeasures, measure_joint
+from .knee_finder import KneeCandidate, find_knees
+from .knee_frame import Grey, KneeFrame, fit_frame, normalise_grey
+from .networks import DecodedHeatMaps, Network, decode_heat_maps, load_network
+from .reader_table import PACKAGE_FOLDER, ReaderTable, load_reader_table
+
+LOCATOR_FILE = "locator.onnx"
+LANDMARK_FILE = "landmarks.onnx"
+# Number of times that the landmarks are found in the frame that the last landmarks define.
+_PASSES = 3
+_EDGES = [CONTOUR_LANDMARKS.index(f"tibia_{side}_edge") for side in ("lateral", "medial")]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KneeReading:
+    """Knee on a radiograph, as the reader sees it.
+
+    Attributes
+    ----------
+    side : {"right", "left"}
+        Side, under the convention that the lateral side of a right knee is on the viewer's left.
+    angle_deg : float
+        Rotation of the tibial plateau in the image, in degrees, clockwise positive.
+    landmarks_px : dict of str to tuple of float
+        Row and column of the sixteen contour landmarks, in pixels.
+    confidence : dict of str to float
+        Confidence in each landmark: probability of the heat map near the landmark, 0 to 1.
+    masks : dict of str to (rows, cols) bool array
+        Masks of femur, tibia, fibula and patella; osteophytes belong to their bone.
+    measures : JointMeasures
+        Joint space widths as fractions of the plateau width, and joint-line convergence.
+    pixel_mm : float or None
+        Pixel size, in mm; None if unknown.
+    score : float
+        Score with which the knee was found, 0 to 1.
+    shape_residual : float
+        Root-mean-square distance of the landmarks from the mean shape of simulated knees after a similarity fit, as a
+        fraction of the plateau width.
+    refusal : str
+        Reason why the reading must not be used; empty if there is none.
+    """
+
+    side: str
+    angle_deg: float
+    landmarks_px: dict[str, tuple[float, float]]
+    confidence: dict[str, float]
+    masks: dict[str, NDArray[np.bool_]]
+    measures: JointMeasures
+    pixel_mm: float | None
+    score: float
+    shape_residual: float
+    refusal: str
+
+    @property
+    def plateau_width_mm(self) -> float | None:
+        """Width of the tibial plateau on the detector, in mm; None if the pixel size is unknown."""
+        return None if self.pixel_mm is None else self.measures.plateau_width_px * self.pixel_mm
+
+    @property
+    def medial_jsw_mm(self) -> float | None:
+        """Minimum medial joint space width on the detector, in mm; None if the pixel size is unknown."""
+        width = self.plateau_width_mm
+        return None if width is None else self.measures.medial_jsw_share * width
+
+    @property
+    def lateral_jsw_mm(self) -> float | None:
+        """Minimum lateral joint space width on the detector, in mm; None if the pixel size is unknown."""
+        width = self.plateau_width_mm
+        return None if width is None else self.measures.lateral_jsw_share * width
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Reader:
+    """Loaded networks and thresholds of the reader.
+
+    Attributes
+    ----------
+    locator : Network
+        Network that finds knees.
+    landmarks : Network
+        Network that finds landmarks and masks in the frame of a knee.
+    table : ReaderTable
+        Mean shape and thresholds.
+    """
+
+    locator: Network
+    landmarks: Network
+    table: ReaderTable
+
+
+def load_reader(folder: str | Path | None = None) -> Reader:
+    """Load the networks of the reader.
+
+    Parameters
+    ----------
+    folder : str or Path, optional
+        Folder with the output of ``pssf train-reader``; None: the networks of the package.
+
+    Returns
+    -------
+    Reader
+        Networks and thresholds.
+
+    Raises
+    ------
+    InputError
+        ONNX Runtime is not installed, or a file is missing or damaged.
+    """
+    return _load_reader(PACKAGE_FOLDER if folder is None else Path(folder))
+
+
+@lru_cache(maxsize=2)
+def _load_reader(folder: Path) -> Reader:
+    """Load and keep the networks of a folder."""
+    return Reader(
+        locator=load_network(folder / LOCATOR_FILE),
+        landmarks=load_network(folder / LANDMARK_FILE),
+        table=load_reader_table(folder),
+    )
+
+
+def read(image: ArrayLike, *, pixel_mm: float | None = None, reader: Reader | None = None) -> tuple[KneeReading, ...]:
+    """Read the knees on a frontal radiograph.
+
+    Parameters
+    ----------
+    image : (rows, cols) array
+        Grey values of a radiograph or a crop, of any range and polarity; both knees may be visible.
+    pixel_mm : float, optional
+        Pixel size, 0.01 to 5 mm; None: unknown, lengths are then given as fractions of the plateau width.
+    reader : Reader, optional
+        Result of `load_reader`; None: the networks of the package.
+
+    Returns
+    -------
+    tuple of KneeReading
+        Knees from the viewer's left to the viewer's right; empty if the image shows no frontal knee.
+
+    Raises
+    ------
+    InputError
+        The image is not an array of at least 64 x 64 finite grey values, `pixel_mm` is outside its range, or ONNX
+        Runtime is not installed.
+    """
+    grey = np.asarray(image)
+    if grey.ndim != 2 or min(grey.shape) < 64:
+        raise InputError(f"image must be an array of at least 64 x 64 grey values, got shape {grey.shape}")
+    if not np.isfinite(grey).all():
+        raise InputError(f"image must have finite grey values, got {np.sum(~np.isfinite(grey))} infinite or NaN")
+    if pixel_mm is not None:
+        require_in_range("pixel_mm", pixel_mm, 0.01, 5.0, "mm")
+    used = load_reader() if reader is None else reader
+    values = grey.astype(np.float32)
+    knees = find_knees(values, used.locator, used.table.min_score)
+    return tuple(_read_knee(values, knee, pixel_mm, used) for knee in knees)
+
+
+def _read_knee(image: Grey, knee: KneeCandidate, pixel_mm: float | None, reader: Reader) -> KneeReading:
+    """Read one knee in the frame that its own landmarks define."""
+    settings = reader.landmarks.settings
+    frame = knee.frame
+    for _ in range(_PASSES):
+        crop = normalise_grey(*frame.cut_crop(image, settings.plateau_px, settings.crop_px))
+        heat_maps, logits = reader.landmarks.run(crop)
+        decoded = decode_heat_maps(heat_maps, settings.stride)
+        places, read_in = frame.map_to_image(decoded.places_px, settings.plateau_px, settings.crop_px), frame
+        frame = fit_frame(places[_EDGES], frame.side)
+    residual = compute_shape_residual(places, frame, reader.table.mean_shape)
+    return KneeReading(
+        side=frame.side,
+        angle_deg=float(np.rad2deg(frame.angle_rad)),
+        landmarks_px=_name(places),
+        confidence=dict(zip(CONTOUR_LANDMARKS, decoded.mass.tolist(), strict=True)),
+        masks=_draw_masks(logits, settings.masks, read_in, reader.landmarks, image.shape),
+        measures=measure_joint(places, frame.side),
+        pixel_mm=pixel_mm,
+        score=knee.score,
+        shape_residual=residual,
+        refusal=_find_refusal(knee, decoded, residual, reader.table),
+    )
+
+
+def _name(places: Array) -> dict[str, tuple[float, float]]:
+    """Return landmark positions (16, 2) by name."""
+    return {name: (float(row), float(col)) for name, (row, col) in zip(CONTOUR_LANDMARKS, places, strict=True)}
+
+
+def compute_shape_residual(places_px: Array, frame: KneeFrame, mean_shape: Sequence[Sequence[float]]) -> float:
+    """Compute how far landmarks are from the mean shape after a similarity fit.
+
+    Parameters
+    ----------
+    places_px : (16, 2) array
+        Row and column of each landmark, in pixels.
+    frame : KneeFrame
+        Frame of the knee.
+    mean_shape : (16, 2) sequence of float
+        Mean row and column of each landmark in the frame of the knee, as fractions of the plateau width.
+
+    Returns
+    -------
+    float
+        Root-mean-square distance as a fraction of the plateau width.
+    """
+    here, mean = frame.map_to_crop(places_px, 1.0, 1), np.asarray(mean_shape)
+    a, b = (points - points.mean(axis=0) for points in (here, mean))
+    # Points as complex numbers: a similarity is a complex factor.
+    u, v = a[:, 1] + 1j * a[:, 0], b[:, 1] + 1j * b[:, 0]
+    factor = (np.conj(v) * u).sum() / (np.abs(v) ** 2).sum()
+    return float(np.sqrt((np.abs(u - factor * v) ** 2).mean()))
+
+
+def _find_refusal(knee: KneeCandidate, decoded: DecodedHeatMaps, residual: float, table: ReaderTable) -> str:
+    """Return the reason why a reading must not be used, or an empty text."""
+    if residual > table.max_shape_residual:
+        return (
+            f"shape differs from that of a knee by {residual:.3f} plateau widths, above {table.max_shape_residual:.3f}"
+        )
+    least = float(np.median(decoded.mass))
+    if least < table.min_confidence:
+        return f"median confidence of the landmarks is {least:.2f}, below {table.min_confidence:.2f}"
+    if knee.score < table.min_sure_score:
+        return f"score of the knee is {knee.score:.2f}, below {table.min_sure_score:.2f}"
+    return ""
+
+
+def _draw_masks(
+    logits: Grey, names: Sequence[str], frame: KneeFrame, network: Network, shape: tuple[int, ...]
+) -> dict[str, NDArray[np.bool_]]:
+    """Map the masks of a crop to the image."""
+    settings = network.settings
+    rows, cols = np.indices(shape)
+    places = frame.map_to_crop(np.stack((rows, cols), axis=-1), settings.plateau_px, settings.crop_px)
+    # With pixel unshuffling, pixel k of the output covers pixels stride k to stride k + stride - 1 of the crop.
+    at = np.moveaxis((places - (settings.stride - 1) / 2) / settings.stride, -1, 0)
+    return {
+        name: ndimage.map_coordinates(values, at, order=1, mode="constant", cval=-1.0) > 0
+        for name, values in zip(names, logits, strict=True)
+    }

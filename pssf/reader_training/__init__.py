@@ -1,0 +1,14 @@
+"""Train the reader on simulated radiographs alone. Only this package and `torch` need PyTorch.
+
+training_settings   settings
+training_images     images of a data set with landmarks and masks
+grey_randomisation  random changes of grey values
+landmark_batches    random batches of crops around a knee
+locator_batches     random batches of whole images, with and without knees
+unet                network
+losses              losses
+training_loop       training with checkpoints
+reader_export       networks in ONNX format
+reader_thresholds   mean shape, and thresholds from simulations that are wrong on purpose
+reader_maker        both trainings, and errors on simulations
+"""

@@ -1,0 +1,238 @@
+"""Train both networks of the reader on a simulated data set, and write them as ONNX."""
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
+from ..io.atomic_write import make_folder, write_bytes
+from ..io.cohort_records import claim_folder, hash_file
+from ..io.dataset_files import SETTINGS_FILE as DATASET_FILE
+from ..reader.knee_reading import LANDMARK_FILE, LOCATOR_FILE
+from ..reader.networks import NetworkSettings, load_network
+from ..reader.reader_table import TABLE_FILE, ReaderTable
+from .grey_randomisation import build_grey_randomisation
+from .landmark_batches import make_landmark_batch
+from .locator_batches import EDGE_CHANNELS, make_locator_batch
+from .losses import compute_edge_loss, compute_landmark_loss
+from .reader_export import export_network
+from .reader_thresholds import set_thresholds
+from .training_images import BONES, TrainingImages, read_displays, read_training_images
+from .training_loop import train_network
+from .training_settings import ReaderTrainingSettings
+from .unet import STRIDE, ReaderUNet, compute_expected_places
+
+SETTINGS_FILE = "training.json"
+ERRORS_FILE = "errors.json"
+# Side of the input of the network that finds knees, in pixels, and its number of feature maps.
+_LOCATOR_PX = 192
+_LOCATOR_WIDTH = 12
+# Initial bias of the heat maps of the locator, divided by the factor of the logits: few pixels contain an edge.
+_LOCATOR_BIAS = -0.4
+
+Report = Callable[[str, int, int, float], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class HoldOutErrors:
+    """Errors of the landmark network on simulated radiographs that were not used for training.
+
+    Attributes
+    ----------
+    landmark_mm : dict of str to float
+        Mean distance of each landmark, in mm on the detector.
+    dice : dict of str to float
+        Mean Dice coefficient of each bone mask.
+    """
+
+    landmark_mm: dict[str, float]
+    dice: dict[str, float]
+
+
+def train_landmark_network(
+    images: TrainingImages, settings: ReaderTrainingSettings, folder: Path, report: Report
+) -> ReaderUNet:
+    """Train the network that finds landmarks and masks, and write it.
+
+    Parameters
+    ----------
+    images : TrainingImages
+        Images for training.
+    settings : ReaderTrainingSettings
+        Settings of the training.
+    folder : Path
+        Folder for checkpoint and network.
+    report : callable
+        Function of the name of the network, finished steps, all steps and mean loss.
+
+    Returns
+    -------
+    ReaderUNet
+        Trained network.
+    """
+    torch.manual_seed(settings.seed)
+    network = ReaderUNet(len(CONTOUR_LANDMARKS), len(BONES), settings.width)
+    randomise = build_grey_randomisation(settings.randomisation)
+
+    def compute_loss(net: nn.Module, rng: np.random.Generator) -> Tensor:
+        chosen = rng.integers(len(images.crops), size=settings.batch)
+        made = make_landmark_batch(
+            images, chosen, crop_px=settings.crop_px, plateau_px=settings.plateau_px, randomise_grey=randomise
+        )
+        heat_maps, masks = net(made.image)
+        return compute_landmark_loss(heat_maps, masks, made.places_px, made.visible, made.bones, made.inside)
+
+    train_network(
+        network,
+        compute_loss,
+        steps=settings.landmark_steps,
+        learning_rate=settings.learning_rate,
+        seed=settings.seed,
+        checkpoint=folder / "landmarks.pt",
+        report=lambda done, of, loss: report("landmarks", done, of, loss),
+    )
+    described = NetworkSettings(
+        crop_px=settings.crop_px,
+        plateau_px=settings.plateau_px,
+        stride=STRIDE,
+        landmarks=CONTOUR_LANDMARKS,
+        masks=BONES,
+    )
+    export_network(network, described, folder / LANDMARK_FILE)
+    return network
+
+
+def train_locator(images: TrainingImages, settings: ReaderTrainingSettings, folder: Path, report: Report) -> ReaderUNet:
+    """Train the network that finds knees, and write it.
+
+    Parameters
+    ----------
+    images : TrainingImages
+        Images for training.
+    settings : ReaderTrainingSettings
+        Settings of the training.
+    folder : Path
+        Folder for checkpoint and network.
+    report : callable
+        Function of the name of the network, finished steps, all steps and mean loss.
+
+    Returns
+    -------
+    ReaderUNet
+        Trained network.
+    """
+    torch.manual_seed(settings.seed)
+    network = ReaderUNet(len(EDGE_CHANNELS), 0, _LOCATOR_WIDTH)
+    nn.init.constant_(network.body.final_conv.bias, _LOCATOR_BIAS)
+    randomise = build_grey_randomisation(settings.randomisation)
+
+    def compute_loss(net: nn.Module, rng: np.random.Generator) -> Tensor:
+        image, edges = make_locator_batch(images, settings.batch, _LOCATOR_PX, rng, randomise)
+        return compute_edge_loss(net(image)[0], edges)
+
+    train_network(
+        network,
+        compute_loss,
+        steps=settings.locator_steps,
+        learning_rate=settings.learning_rate,
+        seed=settings.seed + 1,
+        checkpoint=folder / "locator.pt",
+        report=lambda done, of, loss: report("locator", done, of, loss),
+    )
+    described = NetworkSettings(crop_px=_LOCATOR_PX, plateau_px=0.0, stride=STRIDE, landmarks=EDGE_CHANNELS, masks=())
+    export_network(network, described, folder / LOCATOR_FILE)
+    return network
+
+
+def measure_hold_out(network: ReaderUNet, images: TrainingImages, settings: ReaderTrainingSettings) -> HoldOutErrors:
+    """Measure the errors of the landmark network in the exact frames of simulated knees.
+
+    Parameters
+    ----------
+    network : ReaderUNet
+        Trained network.
+    images : TrainingImages
+        Images that were not used for training.
+    settings : ReaderTrainingSettings
+        Settings of the training.
+
+    Returns
+    -------
+    HoldOutErrors
+        Errors of landmarks and masks.
+    """
+    distances, overlaps = [], []
+    for chosen in np.array_split(np.arange(len(images.crops)), -(-len(images.crops) // settings.batch)):
+        made = make_landmark_batch(
+            images, chosen, crop_px=settings.crop_px, plateau_px=settings.plateau_px, randomise_grey=None
+        )
+        with torch.no_grad():
+            heat_maps, masks = network(made.image)
+        mm = images.plateau_mm[chosen] / settings.plateau_px
+        distances.append((compute_expected_places(heat_maps) - made.places_px).norm(dim=2).numpy() * mm[:, None])
+        drawn, truth = ((values > level) & (made.inside > 0) for values, level in ((masks, 0.0), (made.bones, 0.5)))
+        overlaps.append((2 * (drawn & truth).sum(dim=(2, 3)) / (drawn.sum(dim=(2, 3)) + truth.sum(dim=(2, 3)))).numpy())
+    landmark_mm, dice = np.concatenate(distances).mean(axis=0), np.nanmean(np.concatenate(overlaps), axis=0)
+    return HoldOutErrors(
+        landmark_mm=dict(zip(CONTOUR_LANDMARKS, landmark_mm.tolist(), strict=True)),
+        dice=dict(zip(BONES, dice.tolist(), strict=True)),
+    )
+
+
+def make_reader(
+    data: Path, settings: ReaderTrainingSettings, folder: Path, report: Report
+) -> tuple[HoldOutErrors, ReaderTable]:
+    """Train the reader on a data set, and write networks, thresholds and errors.
+
+    Parameters
+    ----------
+    data : Path
+        Folder of a complete data set with images for display.
+    settings : ReaderTrainingSettings
+        Settings of the training.
+    folder : Path
+        Output folder; an interrupted training continues from its checkpoints.
+    report : callable
+        Function of the name of the network, finished steps, all steps and mean loss.
+
+    Returns
+    -------
+    errors : HoldOutErrors
+        Errors on simulated radiographs of the subset for tests.
+    table : ReaderTable
+        Mean shape and thresholds.
+
+    Raises
+    ------
+    InputError
+        The folder contains no complete data set, or its checkpoints were made with other settings.
+    """
+    make_folder(folder)
+    specified = asdict(settings) | {"dataset_sha256": hash_file(data / DATASET_FILE), "pssf": version("pssf")}
+    claim_folder(folder / SETTINGS_FILE, specified)
+    images = read_training_images(data, "train")
+    network = train_landmark_network(images, settings, folder, report)
+    train_locator(images, settings, folder, report)
+    table = set_thresholds(
+        load_network(folder / LOCATOR_FILE),
+        load_network(folder / LANDMARK_FILE),
+        images,
+        read_displays(data, "validation"),
+        settings.seed,
+    )
+    write_bytes(folder / TABLE_FILE, _encode(table))
+    errors = measure_hold_out(network, read_training_images(data, "test"), settings)
+    write_bytes(folder / ERRORS_FILE, _encode(asdict(errors)))
+    return errors, table
+
+
+def _encode(values: Any) -> bytes:
+    """Return values as indented JSON."""
+    return msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n"

@@ -1,0 +1,182 @@
+"""Images of a data set, prepared for the training of the reader."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
+from ..core.checks import Array, InputError
+from ..dataset.coco_instances import decode_run_lengths
+from ..io.dataset_files import read_pixels, read_sample_labels
+from ..io.dataset_index_files import read_index_table
+from ..reader.knee_frame import KneeFrame, fit_frame
+
+# Masks that the reader finds. Osteophytes belong to the mask of their bone.
+BONES = ("femur", "tibia", "fibula", "patella")
+EDGES = ("tibia_lateral_edge", "tibia_medial_edge")
+# Side of a stored crop, in pixels. Its plateau is 1 / STORED_SPAN of the side wide.
+STORED_PX = 448
+STORED_SPAN = 2.3
+# Longer side of a stored whole image, in pixels.
+WHOLE_PX = 384
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrainingImages:
+    """Images with landmarks and masks; left knees are mirrored.
+
+    Attributes
+    ----------
+    names : list of str
+        Name of each image in the data set.
+    crops : (n, STORED_PX, STORED_PX) uint8 array
+        Grey values in the frame of the knee.
+    coded_masks : (n, STORED_PX, STORED_PX) uint8 array
+        Bit k is the mask of ``BONES[k]``; bit 7 is set inside the image.
+    landmarks_px : (n, 16, 2) float32 array
+        Row and column of each landmark in the crop, in pixels.
+    plateau_mm : (n,) float32 array
+        Width of the plateau on the detector, in mm.
+    whole : (n, WHOLE_PX, WHOLE_PX) uint8 array
+        Whole images, padded with 0.
+    whole_edges_px : (n, 2, 2) float32 array
+        Row and column of the lateral and medial plateau edge in the whole image, in pixels.
+    grades : (n,) int64 array
+        KL grades.
+    """
+
+    names: list[str]
+    crops: NDArray[np.uint8]
+    coded_masks: NDArray[np.uint8]
+    landmarks_px: NDArray[np.float32]
+    plateau_mm: NDArray[np.float32]
+    whole: NDArray[np.uint8]
+    whole_edges_px: NDArray[np.float32]
+    grades: NDArray[np.int64]
+
+
+def read_training_images(folder: Path, split: str) -> TrainingImages:
+    """Read one subset of a data set and cut a crop in the frame of each knee.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of a complete data set with images for display.
+    split : {"train", "validation", "test"}
+        Subset.
+
+    Returns
+    -------
+    TrainingImages
+        Images, landmarks and masks.
+
+    Raises
+    ------
+    InputError
+        The folder contains no complete data set, or the subset is empty.
+    """
+    return collect_training_images(
+        [
+            _prepare(read_pixels(folder, split, "display", name), read_sample_labels(folder, split, name))
+            for name in _list_names(folder, split)
+        ]
+    )
+
+
+def read_displays(folder: Path, split: str) -> Iterator[NDArray[np.uint8]]:
+    """Read the images for display of one subset of a data set.
+
+    Parameters
+    ----------
+    folder : Path
+        Folder of a complete data set with images for display.
+    split : {"train", "validation", "test"}
+        Subset.
+
+    Yields
+    ------
+    (rows, cols) uint8 array
+        Image.
+
+    Raises
+    ------
+    InputError
+        The folder contains no complete data set, or the subset is empty.
+    """
+    for name in _list_names(folder, split):
+        yield read_pixels(folder, split, "display", name)
+
+
+def _list_names(folder: Path, split: str) -> list[str]:
+    """List the names of the images of one subset."""
+    _, rows = read_index_table(folder / "index.csv", split, ("name",))
+    if not rows:
+        raise InputError(f"split must be a subset with images, got {split!r} of {folder} without images")
+    return [name for (name,) in rows]
+
+
+def collect_training_images(prepared: list[dict[str, Any]]) -> TrainingImages:
+    """Join prepared images to arrays.
+
+    Parameters
+    ----------
+    prepared : list of dict
+        Results of `_prepare`.
+
+    Returns
+    -------
+    TrainingImages
+        Images of all entries.
+    """
+    columns = {name: [entry[name] for entry in prepared] for name in prepared[0]}
+    names = columns.pop("names")
+    return TrainingImages(names=names, **{name: np.array(values) for name, values in columns.items()})
+
+
+def _prepare(pixels: NDArray[np.uint8], labels: dict[str, Any]) -> dict[str, Any]:
+    """Cut the crop of one image and reduce the whole image."""
+    side = labels["side"]
+    landmarks = np.array([labels["landmarks_px"][name] for name in CONTOUR_LANDMARKS])
+    edges = landmarks[[CONTOUR_LANDMARKS.index(name) for name in EDGES]]
+    frame = fit_frame(edges, side)
+    plateau_px = STORED_PX / STORED_SPAN
+    grey, inside = frame.cut_crop(pixels.astype(np.float32), plateau_px, STORED_PX)
+    coded = inside.astype(np.uint8) << 7
+    for k, mask in enumerate(_collect_masks(labels, pixels.shape)):
+        coded |= ((frame.cut_crop(mask, plateau_px, STORED_PX)[0] > 0.5) & inside).astype(np.uint8) << k
+    whole, whole_edges = _reduce(pixels, edges, side)
+    return {
+        "names": labels["name"],
+        "crops": np.clip(np.rint(grey), 0, 255).astype(np.uint8),
+        "coded_masks": coded,
+        "landmarks_px": frame.map_to_crop(landmarks, plateau_px, STORED_PX).astype(np.float32),
+        "plateau_mm": np.float32(frame.width_px * labels["pixel_mm"]),
+        "whole": whole,
+        "whole_edges_px": whole_edges.astype(np.float32),
+        "grades": int(labels["kl"]),
+    }
+
+
+def _collect_masks(labels: dict[str, Any], shape: tuple[int, ...]) -> list[NDArray[np.float32]]:
+    """Return the mask of each bone with its osteophytes, 0 or 1."""
+    masks = {bone: np.zeros(shape, bool) for bone in BONES}
+    for instance in labels["instances"]:
+        parts = instance["name"].split("_")
+        bone = parts[1] if parts[-1] == "osteophyte" else instance["name"]
+        if bone in masks:
+            masks[bone] |= np.asarray(decode_run_lengths(instance["segmentation"]), bool)
+    return [mask.astype(np.float32) for mask in masks.values()]
+
+
+def _reduce(pixels: NDArray[np.uint8], edges: Array, side: str) -> tuple[NDArray[np.uint8], Array]:
+    """Reduce a whole image and mirror a left knee; return it with its plateau edges."""
+    step = max(pixels.shape) / WHOLE_PX
+    frame = KneeFrame(
+        centre_px=((pixels.shape[0] - 1) / 2, (pixels.shape[1] - 1) / 2), width_px=step, angle_rad=0.0, side=side
+    )
+    grey, _ = frame.cut_crop(pixels.astype(np.float32), 1.0, WHOLE_PX)
+    return np.clip(np.rint(grey), 0, 255).astype(np.uint8), frame.map_to_crop(edges, 1.0, WHOLE_PX)

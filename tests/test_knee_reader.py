@@ -1,0 +1,288 @@
+"""The reader: frames, positions from heat maps, joint measures, and a whole reading with known heat maps."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
+from pssf.core.checks import InputError
+from pssf.data.analysis.landmark_table import load_landmark_reference
+from pssf.reader import Reader, load_reader, read
+from pssf.reader.film_overlay import draw_overlay
+from pssf.reader.joint_measures import measure_joint
+from pssf.reader.knee_frame import KneeFrame, fit_frame, normalise_grey
+from pssf.reader.networks import Network, NetworkSettings, decode_heat_maps, load_network
+from pssf.reader.reader_table import ReaderTable
+from pssf.reader.reading_rows import make_rows
+
+CROP_PX = 96
+PLATEAU_PX = 56.0
+BONES = ("femur", "tibia", "fibula", "patella")
+# Mean landmarks of annotated knees without osteoarthritis, as x and y in plateau widths.
+SHAPE = np.array(load_landmark_reference().grade["0"].mean_share)
+frames = st.builds(
+    KneeFrame,
+    centre_px=st.tuples(st.floats(50, 150), st.floats(50, 150)),
+    width_px=st.floats(30, 200),
+    angle_rad=st.floats(-0.5, 0.5),
+    side=st.sampled_from(("right", "left")),
+)
+
+
+def place_landmarks(frame):
+    """Return rows and columns of the mean shape in a frame."""
+    return frame.map_to_image(np.column_stack((-SHAPE[:, 1], SHAPE[:, 0])), 1.0, 1)
+
+
+@given(frames)
+def test_mapping_to_a_crop_and_back_returns_the_points(frame):
+    points = np.array([[0.0, 0.0], [40.0, 90.0], [95.0, 3.0]])
+    there = frame.map_to_crop(points, PLATEAU_PX, CROP_PX)
+    np.testing.assert_allclose(frame.map_to_image(there, PLATEAU_PX, CROP_PX), points, atol=1e-9)
+
+
+@given(frames)
+def test_frame_from_plateau_edges_equals_the_frame_of_the_knee(frame):
+    edges = place_landmarks(frame)[[0, 8]]
+    again = fit_frame(edges, frame.side)
+    np.testing.assert_allclose(again.centre_px, frame.centre_px, atol=1e-9)
+    np.testing.assert_allclose((again.width_px, again.angle_rad), (frame.width_px, frame.angle_rad), atol=1e-9)
+
+
+@given(frames)
+def test_crop_shows_the_plateau_horizontal_with_lateral_on_the_left(frame):
+    lateral, medial = frame.map_to_crop(place_landmarks(frame)[[0, 8]], PLATEAU_PX, CROP_PX)
+    middle = (CROP_PX - 1) / 2
+    np.testing.assert_allclose(lateral, (middle, middle - PLATEAU_PX / 2), atol=1e-9)
+    np.testing.assert_allclose(medial, (middle, middle + PLATEAU_PX / 2), atol=1e-9)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("width_px", [40.0, 110.0])
+def test_crop_of_a_linear_image_has_the_grey_values_of_its_points(side, width_px):
+    frame = KneeFrame(centre_px=(90.0, 110.0), width_px=width_px, angle_rad=0.2, side=side)
+    rows, cols = np.indices((180, 220))
+    crop, inside = frame.cut_crop((2.0 * rows + 3.0 * cols).astype(np.float32), PLATEAU_PX, CROP_PX)
+    points = frame.map_to_image(np.moveaxis(np.indices((CROP_PX, CROP_PX)), 0, -1), PLATEAU_PX, CROP_PX)
+    deep = ((points > 8) & (points < np.array([171, 211]))).all(axis=-1)
+    assert deep.sum() > 1000
+    np.testing.assert_allclose(crop[deep], (points @ [2.0, 3.0])[deep], atol=0.02)
+    assert inside[deep].all()
+    assert not crop[~inside].any()
+
+
+def test_normalised_grey_values_ignore_pixels_outside_the_image():
+    rng = np.random.default_rng(0)
+    grey = rng.normal(100, 7, (50, 50)).astype(np.float32)
+    inside = np.zeros((50, 50), bool)
+    inside[10:40, 5:30] = True
+    first = normalise_grey(grey, inside)
+    second = normalise_grey(np.where(inside, 3 * grey + 11, -999).astype(np.float32), inside)
+    np.testing.assert_allclose(first, second, atol=1e-4)
+    assert abs(first[inside].mean()) < 1e-4
+    assert abs(first[inside].std() - 1) < 1e-4
+
+
+def draw_heat_maps(places, size, sd_px=2.5):
+    """Draw logits of Gaussians around rows and columns in the input of a network with stride 2."""
+    axis = 2 * np.arange(size) + 0.5
+    squares = (axis[:, None] - places[:, 0, None, None]) ** 2 + (axis[None] - places[:, 1, None, None]) ** 2
+    return (-squares / (2 * sd_px**2)).astype(np.float32)
+
+
+@given(st.lists(st.tuples(st.floats(20, 75), st.floats(20, 75)), min_size=1, max_size=4))
+def test_decoded_position_is_the_middle_of_the_gaussian(places):
+    decoded = decode_heat_maps(draw_heat_maps(np.array(places), 48), 2)
+    np.testing.assert_allclose(decoded.places_px, places, atol=0.02)
+    np.testing.assert_allclose(decoded.spread_px, 2.5, atol=0.05)
+    assert (decoded.mass > 0.99).all()
+
+
+def test_second_maximum_lowers_the_confidence_and_not_the_position():
+    near, far = (np.exp(draw_heat_maps(np.array([place]), 48)) for place in ([30.0, 30.0], [80.0, 80.0]))
+    decoded = decode_heat_maps(np.log(near + 0.5 * far + 1e-30), 2)
+    np.testing.assert_allclose(decoded.places_px, [[30, 30]], atol=0.02)
+    np.testing.assert_allclose(decoded.mass, 2 / 3, atol=0.01)
+
+
+@given(frames)
+def test_joint_measures_do_not_depend_on_place_size_rotation_and_side(frame):
+    reference = measure_joint(np.column_stack((-SHAPE[:, 1], SHAPE[:, 0])), "right")
+    moved = measure_joint(place_landmarks(frame), frame.side)
+    np.testing.assert_allclose(moved.plateau_width_px, frame.width_px, rtol=1e-9)
+    for name in ("medial_jsw_share", "lateral_jsw_share", "joint_line_convergence_deg"):
+        np.testing.assert_allclose(getattr(moved, name), getattr(reference, name), atol=1e-9)
+    assert moved.jsw_at_share.keys() == reference.jsw_at_share.keys()
+
+
+def test_joint_space_of_parallel_lines_is_their_distance():
+    shape = SHAPE.copy()
+    shape[:9, 1], shape[9:, 1] = 0.0, 0.06
+    measures = measure_joint(100 * np.column_stack((-shape[:, 1], shape[:, 0])), "right")
+    np.testing.assert_allclose([measures.medial_jsw_share, measures.lateral_jsw_share], 0.06, atol=1e-12)
+    np.testing.assert_allclose(list(measures.jsw_at_share.values()), 0.06, atol=1e-12)
+    assert abs(measures.joint_line_convergence_deg) < 1e-9
+
+
+def test_joint_line_convergence_is_positive_if_the_joint_opens_medially():
+    shape = SHAPE.copy()
+    shape[9:, 1] = 0.05 + 0.1 * (shape[9:, 0] + 0.5)
+    measures = measure_joint(100 * np.column_stack((-shape[:, 1], shape[:, 0])), "right")
+    np.testing.assert_allclose(measures.joint_line_convergence_deg, np.rad2deg(np.arctan(0.1)), atol=0.3)
+    assert measures.medial_jsw_share > measures.lateral_jsw_share
+
+
+class KnownSession:
+    """Session whose heat maps show the landmarks of known knees in the frame that the reader asked for."""
+
+    def __init__(self, output):
+        self.output = output
+
+    def run(self, _, inputs):
+        """Return the known heat maps and masks."""
+        return self.output(inputs["image"][0, 0])
+
+
+def draw_film(frame, shape=(300, 400)):
+    """Draw a film with a bright spot at the lateral and a weaker spot at the medial edge of the plateau."""
+    rows, cols = np.indices(shape)
+    spots = [
+        height * np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / (2 * 4.0**2))
+        for height, (row, col) in zip((2.0, 1.0), place_landmarks(frame)[[0, 8]], strict=True)
+    ]
+    return sum(spots)
+
+
+def find_spots(crop):
+    """Return the places of the two spots, the brighter one first."""
+    values = crop - np.median(crop)
+    places = []
+    for _ in range(2):
+        row, col = np.unravel_index(values.argmax(), values.shape)
+        near = np.hypot(*(np.indices(values.shape) - np.array([row, col])[:, None, None])) < 7
+        weight = np.where(near, np.maximum(values, 0), 0)
+        places.append([(axis * weight).sum() / weight.sum() for axis in np.indices(values.shape)])
+        values = np.where(near, 0, values)
+    return np.array(places)
+
+
+def make_reader(**thresholds):
+    """Return a reader whose networks see the two spots of `draw_film`; its locator is wrong by 5 pixels."""
+
+    def locate(image):
+        spots = find_spots(image)
+        maps = np.full((4, CROP_PX // 2, CROP_PX // 2), -20.0, np.float32)
+        first = 0 if spots[0, 1] < spots[1, 1] else 2
+        maps[first : first + 2] = 6 + draw_heat_maps(spots + 5.0, CROP_PX // 2, 4.0)
+        return maps[None], np.zeros((1, 0, CROP_PX // 2, CROP_PX // 2), np.float32)
+
+    def mark(image):
+        places = place_landmarks(fit_frame(find_spots(image), "right"))
+        rows = 2 * np.arange(CROP_PX // 2) + 0.5
+        femur = np.where(rows < (CROP_PX - 1) / 2, 5.0, -5.0)[:, None] * np.ones(CROP_PX // 2)
+        masks = np.stack([femur, -femur, np.full_like(femur, -5.0), np.full_like(femur, -5.0)])
+        return draw_heat_maps(places, CROP_PX // 2)[None], masks[None].astype(np.float32)
+
+    def make(plateau_px, names, masks, output):
+        return Network(
+            session=KnownSession(output),
+            settings=NetworkSettings(crop_px=CROP_PX, plateau_px=plateau_px, stride=2, landmarks=names, masks=masks),
+        )
+
+    table = {
+        "min_score": 0.3,
+        "min_sure_score": 0.3,
+        "min_confidence": 0.3,
+        "max_shape_residual": 0.05,
+        "mean_shape": tuple((-y, x) for x, y in SHAPE.tolist()),
+    }
+    edges = ("right_lateral", "right_medial", "left_lateral", "left_medial")
+    return Reader(
+        locator=make(0.0, edges, (), locate),
+        landmarks=make(PLATEAU_PX, CONTOUR_LANDMARKS, BONES, mark),
+        table=ReaderTable(**(table | thresholds)),
+    )
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_reading_returns_side_landmarks_and_lengths_of_the_knee(side):
+    frame = KneeFrame(centre_px=(150.0, 210.0), width_px=120.0, angle_rad=0.1, side=side)
+    (knee,) = read(draw_film(frame), pixel_mm=0.6, reader=make_reader())
+    assert (knee.side, knee.refusal) == (side, "")
+    truth = place_landmarks(frame)
+    np.testing.assert_allclose(np.array(list(knee.landmarks_px.values())), truth, atol=0.5)
+    np.testing.assert_allclose(knee.plateau_width_mm, 72.0, atol=0.3)
+    np.testing.assert_allclose(knee.medial_jsw_mm, 72.0 * measure_joint(truth, side).medial_jsw_share, atol=0.05)
+    np.testing.assert_allclose(knee.angle_deg, np.rad2deg(0.1), atol=0.2)
+    assert knee.shape_residual < 0.001
+    above, below = (frame.map_to_image(np.array([[row, 0.0]]), 1.0, 1)[0].round().astype(int) for row in (-0.2, 0.2))
+    assert knee.masks["femur"][tuple(above)]
+    assert not knee.masks["femur"][tuple(below)]
+    assert knee.masks["tibia"][tuple(below)]
+    assert not knee.masks["tibia"][tuple(above)]
+    assert not knee.masks["patella"].any()
+
+
+@pytest.mark.parametrize(
+    ("threshold", "reason"),
+    [
+        ({"max_shape_residual": -1.0}, "shape"),
+        ({"min_confidence": 1.1}, "confidence"),
+        ({"min_sure_score": 1.1}, "score of the knee"),
+    ],
+)
+def test_reading_beyond_a_threshold_is_refused_with_its_reason(threshold, reason):
+    frame = KneeFrame(centre_px=(150.0, 210.0), width_px=120.0, angle_rad=0.0, side="right")
+    (knee,) = read(draw_film(frame), reader=make_reader(**threshold))
+    assert reason in knee.refusal
+    assert make_rows("film.png", [knee])[0]["status"].startswith("refused: ")
+
+
+def test_image_without_a_knee_gives_no_reading_and_a_row_that_says_so():
+    frame = KneeFrame(centre_px=(150.0, 210.0), width_px=120.0, angle_rad=0.0, side="right")
+    assert read(draw_film(frame), reader=make_reader(min_score=1.1)) == ()
+    assert make_rows("hand.png", []) == [{"file": "hand.png", "status": "no knee"}]
+
+
+def test_rows_have_shares_and_no_lengths_without_a_pixel_size():
+    frame = KneeFrame(centre_px=(150.0, 210.0), width_px=120.0, angle_rad=0.0, side="right")
+    (row,) = make_rows("film.png", read(draw_film(frame), reader=make_reader()))
+    assert row["medial_jsw_mm"] is None
+    assert row["plateau_width_mm"] is None
+    assert 0.03 < row["medial_jsw_share"] < 0.1
+    assert {f"{name}_row_px" for name in CONTOUR_LANDMARKS} <= row.keys()
+
+
+def test_overlay_marks_landmarks_and_tints_bones():
+    frame = KneeFrame(centre_px=(150.0, 210.0), width_px=120.0, angle_rad=0.0, side="right")
+    image = draw_film(frame)
+    knees = read(image, reader=make_reader())
+    plain, drawn = draw_overlay(image, []), draw_overlay(image, knees)
+    assert drawn.shape == (300, 400, 3)
+    changed = (plain != drawn).any(axis=2)
+    assert changed[140, 210]
+    assert not changed[5, 5]
+
+
+@pytest.mark.parametrize(
+    ("image", "pixel_mm", "message"),
+    [
+        (np.zeros((10, 200)), None, "at least 64 x 64"),
+        (np.zeros((100, 100, 3)), None, "at least 64 x 64"),
+        (np.full((100, 100), np.nan), None, "finite"),
+        (np.zeros((100, 100)), 9.0, "pixel_mm"),
+    ],
+)
+def test_wrong_input_is_refused_in_one_line(image, pixel_mm, message):
+    with pytest.raises(InputError, match=message):
+        read(image, pixel_mm=pixel_mm, reader=make_reader())
+
+
+def test_missing_and_damaged_networks_are_refused_in_one_line(tmp_path):
+    pytest.importorskip("onnxruntime")
+    with pytest.raises(InputError, match=r"locator\.onnx must be a network of the reader, got no file"):
+        load_reader(tmp_path)
+    (tmp_path / "locator.onnx").write_bytes(b"no network")
+    with pytest.raises(InputError, match="must be a network of the reader"):
+        load_network(tmp_path / "locator.onnx")

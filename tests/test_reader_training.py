@@ -1,0 +1,204 @@
+"""Training of the reader: labels follow the random geometry, and an interrupted training continues exactly."""
+
+import numpy as np
+import pytest
+
+torch = pytest.importorskip("torch")
+pytest.importorskip("monai")
+pytest.importorskip("kornia")
+
+from pssf.core.checks import InputError  # noqa: E402
+from pssf.reader.networks import decode_heat_maps, load_network  # noqa: E402
+from pssf.reader_training import grey_randomisation, landmark_batches, locator_batches, losses, reader_maker  # noqa: E402
+from pssf.reader_training.training_images import (  # noqa: E402
+    STORED_PX,
+    STORED_SPAN,
+    WHOLE_PX,
+    TrainingImages,
+)
+from pssf.reader_training.training_settings import ReaderTrainingSettings  # noqa: E402
+from pssf.reader_training.unet import ReaderUNet, compute_expected_places  # noqa: E402
+
+
+@pytest.fixture(autouse=True)
+def one_thread():
+    """Use one thread, so that tests in several processes do not wait for one another."""
+    torch.set_num_threads(1)
+
+
+@pytest.fixture(scope="module")
+def images():
+    """Make six images in which each landmark is the middle of a bright spot on a dark ground."""
+    rng = np.random.default_rng(0)
+    landmarks = STORED_PX / 2 + rng.uniform(-80, 80, (6, 16, 2))
+    rows, cols = np.indices((STORED_PX, STORED_PX))
+    crops = [
+        sum(np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / 18) for row, col in places).clip(0, 1)
+        for places in landmarks
+    ]
+    edges = np.array([[WHOLE_PX / 2, WHOLE_PX / 2 - 40], [WHOLE_PX / 2, WHOLE_PX / 2 + 40]])
+    whole_rows, whole_cols = np.indices((WHOLE_PX, WHOLE_PX))
+    # The lateral spot is brighter than the medial spot.
+    whole = sum(
+        height * np.exp(-((whole_rows - row) ** 2 + (whole_cols - col) ** 2) / 18)
+        for height, (row, col) in zip((250, 150), edges, strict=True)
+    )
+    return TrainingImages(
+        names=[str(k) for k in range(6)],
+        crops=np.rint(255 * np.array(crops)).astype(np.uint8),
+        coded_masks=np.full((6, STORED_PX, STORED_PX), 0b10000001, np.uint8),
+        landmarks_px=landmarks.astype(np.float32),
+        plateau_mm=np.full(6, 78.0, np.float32),
+        whole=np.repeat(whole.astype(np.uint8)[None], 6, axis=0),
+        whole_edges_px=np.repeat(edges[None], 6, axis=0).astype(np.float32),
+        grades=np.arange(6) % 5,
+    )
+
+
+def test_landmarks_follow_the_random_frame(images):
+    torch.manual_seed(1)
+    made = landmark_batches.make_landmark_batch(
+        images, np.arange(6), crop_px=192, plateau_px=112.0, randomise_grey=torch.nn.Identity()
+    )
+    seen = 0
+    for image, places, visible in zip(made.image[:, 0], made.places_px, made.visible, strict=True):
+        for row, col in places[visible > 0].round().int().tolist():
+            assert image[row, col] > image.median() + 1
+            seen += 1
+    assert seen > 40
+
+
+def test_crop_without_randomness_has_the_stored_scale(images):
+    made = landmark_batches.make_landmark_batch(
+        images, np.arange(6), crop_px=192, plateau_px=112.0, randomise_grey=None
+    )
+    scale = 112.0 / (STORED_PX / STORED_SPAN)
+    expected = (images.landmarks_px - (STORED_PX - 1) / 2) * scale + 95.5
+    np.testing.assert_allclose(made.places_px, expected, atol=1e-3)
+    assert (made.visible == 1).all()
+    assert (made.bones[:, 0] == 1).all()
+
+
+def test_image_edges_hide_landmarks_and_grey_values(images):
+    torch.manual_seed(0)
+    made = landmark_batches.make_landmark_batch(
+        images, np.zeros(64, int), crop_px=192, plateau_px=112.0, randomise_grey=torch.nn.Identity()
+    )
+    outside = torch.nn.functional.interpolate(made.inside, scale_factor=2) == 0
+    cropped = outside.any(dim=3).any(dim=2).float().mean()
+    assert 0.35 < cropped < 0.85
+    assert (made.image[outside].abs() < 1e-6).float().mean() > 0.97
+
+
+def test_locator_labels_mark_the_edges_of_each_side(images):
+    torch.manual_seed(2)
+    image, edges = locator_batches.make_locator_batch(images, 60, 192, np.random.default_rng(3), torch.nn.Identity())
+    known = ~torch.isnan(edges).any(dim=2)
+    assert (known[:, 0] == known[:, 1]).all()
+    assert (known[:, 2] == known[:, 3]).all()
+    both, none = known.all(dim=1).float().mean(), (~known.any(dim=1)).float().mean()
+    assert 0.1 < both < 0.4
+    assert 0.08 < none < 0.4
+    for picture, places, shown in zip(image[:, 0], edges, known, strict=True):
+        for side in (0, 2):
+            if not shown[side]:
+                continue
+            (lateral, medial) = places[side : side + 2].round().int().clamp(0, 191).tolist()
+            assert picture[tuple(lateral)] > picture[tuple(medial)] > picture.median()
+            # The lateral side of a right knee is on the viewer's left.
+            assert (lateral[1] < medial[1]) == (side == 0)
+
+
+def test_expected_places_equal_the_positions_of_narrow_gaussians():
+    places = torch.tensor([[[30.2, 41.7], [80.0, 20.5]]])
+    logits = losses.draw_targets(places, 64, 2.0).clamp(min=1e-12).log()
+    torch.testing.assert_close(compute_expected_places(logits), places, atol=0.05, rtol=0)
+    decoded = decode_heat_maps(logits[0].numpy(), 2)
+    np.testing.assert_allclose(decoded.places_px, places[0], atol=0.05)
+
+
+def test_losses_are_least_at_the_truth():
+    places = torch.tensor([[[30.0, 40.0], [80.0, 20.0]]])
+    logits = losses.draw_targets(places, 64, 2.5).clamp(min=1e-12).log()
+    bones = torch.zeros(1, 1, 64, 64)
+    bones[:, :, :30] = 1
+    masks, inside, visible = 20 * (bones - 0.5), torch.ones(1, 1, 64, 64), torch.ones(1, 2)
+
+    def compute(moved=0.0, turned=1.0, seen=visible):
+        return losses.compute_landmark_loss(logits, turned * masks, places + moved, seen, bones, inside)
+
+    assert compute() < compute(moved=3.0)
+    assert compute() < compute(turned=-1.0)
+    assert compute(seen=torch.tensor([[1.0, 0.0]]), moved=torch.tensor([[[0.0, 0], [50, 50]]])) < compute(moved=3.0)
+    there = 12 * losses.draw_targets(places, 64, 4.0) - 6
+    assert losses.compute_edge_loss(there, places) < losses.compute_edge_loss(there, places + 9)
+    nothing = torch.full_like(places, torch.nan)
+    assert losses.compute_edge_loss(there - 12, nothing) < losses.compute_edge_loss(there, nothing)
+
+
+@pytest.mark.parametrize("recipe", ["none", "mild", "strong"])
+def test_grey_recipes_keep_shape_and_repeat_with_the_seed(recipe):
+    change = grey_randomisation.build_grey_randomisation(recipe)
+    image = torch.rand(4, 1, 64, 64)
+    results = []
+    for seed in (5, 5, 6):
+        torch.manual_seed(seed)
+        results.append(change(image))
+    assert results[0].shape == image.shape
+    assert torch.isfinite(results[0]).all()
+    assert torch.equal(results[0], results[1])
+    assert torch.equal(results[0], results[2]) == (recipe == "none")
+
+
+def test_interrupted_training_gives_the_same_network(images, tmp_path, monkeypatch):
+    monkeypatch.setattr("pssf.reader_training.training_loop._CHECKPOINT_STEPS", 2)
+    settings = ReaderTrainingSettings(
+        images=20, landmark_steps=4, locator_steps=1, batch=2, crop_px=64, plateau_px=36.0
+    )
+
+    def stop(name, done, of, loss):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    def ignore(*_):
+        pass
+
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    whole = reader_maker.train_landmark_network(images, settings, tmp_path / "a", ignore)
+    with pytest.raises(KeyboardInterrupt):
+        reader_maker.train_landmark_network(images, settings, tmp_path / "b", stop)
+    again = reader_maker.train_landmark_network(images, settings, tmp_path / "b", ignore)
+    for first, second in zip(whole.state_dict().values(), again.state_dict().values(), strict=True):
+        assert torch.equal(first, second)
+
+
+def test_exported_network_gives_the_same_logits(images, tmp_path):
+    pytest.importorskip("onnxruntime")
+    pytest.importorskip("onnxscript")
+    settings = ReaderTrainingSettings(
+        images=20, landmark_steps=1, locator_steps=1, batch=2, crop_px=64, plateau_px=36.0
+    )
+    network = reader_maker.train_landmark_network(images, settings, tmp_path, lambda *_: None)
+    loaded = load_network(tmp_path / "landmarks.onnx")
+    assert (loaded.settings.crop_px, loaded.settings.plateau_px) == (64, 36.0)
+    crop = np.random.default_rng(0).normal(size=(64, 64)).astype(np.float32)
+    with torch.no_grad():
+        expected = network(torch.from_numpy(crop)[None, None])
+    for ours, theirs in zip(loaded.run(crop), expected, strict=True):
+        np.testing.assert_allclose(ours, theirs[0], atol=1e-3)
+
+
+def test_network_of_another_shape_has_as_many_outputs():
+    heat_maps, masks = ReaderUNet(4, 0, 8)(torch.zeros(2, 1, 64, 64))
+    assert heat_maps.shape == (2, 4, 32, 32)
+    assert masks.shape == (2, 0, 32, 32)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("images", 1), ("batch", 1), ("learning_rate", 2.0), ("crop_px", 10), ("randomisation", "wild")],
+)
+def test_settings_outside_their_range_are_refused(field, value):
+    with pytest.raises(InputError, match=field):
+        ReaderTrainingSettings(**{field: value})
