@@ -1,17 +1,24 @@
 """The reader: frames, positions from heat maps, joint measures, and a whole reading with known heat maps."""
 
+import csv
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from PIL import Image
 
 from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
+from pssf.cli.reader_command import landmarks
 from pssf.core.checks import InputError
 from pssf.data.analysis.landmark_table import load_landmark_reference
+from pssf.io.patients.landmark_annotations import read_landmark_annotations
 from pssf.reader import Reader, load_reader, read
 from pssf.reader.film_overlay import draw_overlay
 from pssf.reader.joint_measures import measure_joint
-from pssf.reader.knee_frame import KneeFrame, fit_frame, normalise_grey
+from pssf.reader.knee_frame import KneeFrame, fit_frame, fit_similarity, normalise_grey
+from pssf.reader.landmark_agreement import compare_landmarks, summarise_agreement
 from pssf.reader.networks import Network, NetworkSettings, decode_heat_maps, load_network
 from pssf.reader.reader_table import ReaderTable
 from pssf.reader.reading_rows import make_rows
@@ -286,3 +293,92 @@ def test_missing_and_damaged_networks_are_refused_in_one_line(tmp_path):
     (tmp_path / "locator.onnx").write_bytes(b"no network")
     with pytest.raises(InputError, match="must be a network of the reader"):
         load_network(tmp_path / "locator.onnx")
+
+
+def annotate(error_mm=0.0):
+    """Return the mean shape as annotation of a knee 80 mm wide, moved, turned and with random errors."""
+    places = place_landmarks(KneeFrame(centre_px=(70.0, 60.0), width_px=80.0, angle_rad=-0.2, side="right"))
+    noise = np.random.default_rng(4).normal(0, 1, (16, 2)) * error_mm
+    return places[:, ::-1] + noise
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_agreement_does_not_depend_on_place_scale_and_rotation(side):
+    frame = KneeFrame(centre_px=(150.0, 210.0), width_px=120.0, angle_rad=0.1, side=side)
+    (knee,) = read(draw_film(frame), reader=make_reader())
+    row = compare_landmarks(knee, annotate(), side)
+    assert (row["found"], row["side_right"], row["refused"]) == (1, 1, 0)
+    assert row["distance_mm"] < 0.15
+    np.testing.assert_allclose(row["medial_gap_mm"], row["medial_gap_annotated_mm"], atol=0.05)
+    assert compare_landmarks(knee, annotate(1.0), side)["distance_mm"] > 0.8
+
+
+def test_similarity_fit_recovers_a_similarity():
+    points = np.random.default_rng(1).normal(size=(9, 2))
+    turn = np.array([[np.cos(0.7), -np.sin(0.7)], [np.sin(0.7), np.cos(0.7)]])
+    target = 3.1 * points @ turn.T + [4.0, -9.0]
+    np.testing.assert_allclose(fit_similarity(points, target), target, atol=1e-12)
+
+
+def test_summary_counts_and_orders_the_radiographs():
+    def make(distance, gap, *, found=1):
+        gaps = {"medial_gap_mm": gap, "lateral_gap_mm": 6.0} if found else {}
+        known = {"medial_gap_annotated_mm": gap - 0.5 - 0.01 * distance, "lateral_gap_annotated_mm": 6.0 + distance}
+        return {"found": found, "refused": 0, "side_right": found, "distance_mm": distance, **known, **gaps}
+
+    rows = [make(0.8, 5.0), make(1.2, 4.5), make(2.0, 1.0), make(3.0, 4.8), make(9.0, 1.0, found=0)]
+    everything, *by_grade = summarise_agreement(rows, [0, 0, 4, 3, None])
+    assert (everything["count"], everything["found"]) == (5, 4)
+    np.testing.assert_allclose(everything["median_mm"], 1.6)
+    assert (everything["below_1_mm"], everything["below_1.5_mm"], everything["below_2.5_mm"]) == (0.25, 0.5, 0.75)
+    np.testing.assert_allclose(everything["medial_gap_bias_mm"], 0.5 + 0.01 * 1.75)
+    # Of the four pairs of KL 0 with KL 3 or 4, one has the larger joint space with KL 3.
+    np.testing.assert_allclose(everything["auc_severe"], 0.75)
+    assert [row["radiographs"] for row in by_grade] == ["KL 0", "KL 3", "KL 4"]
+
+
+def test_annotations_are_read_and_wrong_tables_refused(tmp_path):
+    columns = ["file", "side", "kl", *(f"{name}_{axis}_mm" for name in CONTOUR_LANDMARKS for axis in "xy")]
+    values = ["a.png", "L", "2", *map(str, range(32))]
+    path = tmp_path / "marks.csv"
+    path.write_text(",".join(columns) + "\n" + ",".join(values) + "\n", encoding="utf-8")
+    (one,) = read_landmark_annotations(path, CONTOUR_LANDMARKS)
+    assert (one.file, one.side, one.grade) == ("a.png", "left", 2)
+    np.testing.assert_array_equal(one.landmarks_mm, np.arange(32).reshape(16, 2))
+    for old, new, message in (("L", "up", "side"), ("7", "seven", "numbers"), ("7", "nan", "finite"), ("2", "x", "kl")):
+        changed = [new if value == old else value for value in values]
+        path.write_text(",".join(columns) + "\n" + ",".join(changed) + "\n", encoding="utf-8")
+        with pytest.raises(InputError, match=rf"line 2: .*{message}"):
+            read_landmark_annotations(path, CONTOUR_LANDMARKS)
+    path.write_text(",".join(columns[:-1]) + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match="femur_medial_edge_y_mm"):
+        read_landmark_annotations(path, CONTOUR_LANDMARKS)
+
+
+def test_command_writes_tables_points_and_pictures(tmp_path, monkeypatch, capsys):
+    frame = KneeFrame(centre_px=(150.0, 210.0), width_px=120.0, angle_rad=0.1, side="left")
+    film, other = tmp_path / "a.png", tmp_path / "b.png"
+    Image.fromarray((draw_film(frame) / 2 * 255).astype(np.uint8)).save(film)
+    other.write_bytes(b"no picture")
+    places = annotate()
+    columns = ["file", "side", "kl", *(f"{name}_{axis}_mm" for name in CONTOUR_LANDMARKS for axis in "xy")]
+    marks = tmp_path / "marks.csv"
+    marks.write_text(
+        ",".join(columns) + "\n" + ",".join(["a.png", "L", "0", *map(str, places.ravel())]) + "\n", encoding="utf-8"
+    )
+    monkeypatch.setattr("pssf.reader.load_reader", lambda folder: make_reader())
+    landmarks(films=[film, other], out=tmp_path / "out", pixel_mm=0.6, compare=marks)
+    printed = capsys.readouterr()
+    assert "1 of 2 knees read" in printed.out
+    assert "b.png: unreadable" in printed.err
+    rows = list(csv.DictReader((tmp_path / "out" / "landmarks.csv").open(encoding="utf-8")))
+    assert [row["status"][:10] for row in rows] == ["read", "unreadable"]
+    assert rows[0]["side"] == "left"
+    np.testing.assert_allclose(float(rows[0]["plateau_width_mm"]), 72.0, atol=0.3)
+    assert len(json.loads((tmp_path / "out" / "landmarks.json").read_text())) == 2
+    points = (tmp_path / "out" / "points" / "a_left.pts").read_text().splitlines()
+    assert points[:3] == ["version: 1", "n_points: 16", "{"]
+    with Image.open(tmp_path / "out" / "pictures" / "a.png") as picture:
+        assert picture.size == (400, 300)
+    (agreement, _) = csv.DictReader((tmp_path / "out" / "agreement.csv").open(encoding="utf-8"))
+    assert (agreement["found"], agreement["side_right"]) == ("1", "1")

@@ -10,8 +10,9 @@ from .film_arguments import collect_films, make_unique_stem
 from .shared_options import Out, Processes, Seed
 
 if TYPE_CHECKING:
+    from ..io.patients.landmark_annotations import LandmarkAnnotation
     from ..io.patients.patient_radiographs import Film
-    from ..reader import Reader
+    from ..reader import KneeReading, Reader
 
 Networks = Annotated[
     Path | None, typer.Option(help="Folder with networks made by pssf train-reader; default: those of the package.")
@@ -31,11 +32,19 @@ def landmarks(
         float, typer.Option(help="Pixel size in mm, if not in a table; 0 reads it from the file if it is there.")
     ] = 0.0,
     networks: Networks = None,
+    compare: Annotated[
+        Path | None,
+        typer.Option(
+            help="CSV file with annotated landmarks of the same radiographs: file, side, kl (optional), and NAME_x_mm "
+            "and NAME_y_mm of the sixteen landmarks, y downwards, left knees mirrored."
+        ),
+    ] = None,
 ) -> None:
     """Find landmarks, joint space and bone masks on frontal knee radiographs.
 
     The command writes landmarks.csv and landmarks.json with one entry per knee, and per knee a landmark file (.pts) and
-    per radiograph a picture. The networks were trained on simulated radiographs alone. They are for research, not for
+    per radiograph a picture. With --compare, it also writes agreement.csv, with one row per group of radiographs, and
+    agreement_films.csv. The networks were trained on simulated radiographs alone. They are for research, not for
     diagnosis.
     """
     from ..core.checks import InputError
@@ -45,15 +54,21 @@ def landmarks(
     from ..io.cohort_records import encode_csv
     from ..io.landmark_files import write_landmark_json
     from ..reader import load_reader
+    from ..reader.reading_rows import make_rows
 
     reader = load_reader(networks)
     listed = [film for path in films for film in collect_films(path, "", pixel_mm)]
+    annotated = _read_annotations(compare)
     rows: list[dict[str, Any]] = []
     taken: set[str] = set()
+    readings: dict[str, tuple[KneeReading, ...]] = {}
     with Execution(progress_bar=show_progress_bar).stage("landmarks", "radiographs", len(listed)) as stage:
         for film in listed:
             try:
-                rows += _read_film(film, reader, out, make_unique_stem(film.file, taken))
+                readings[Path(film.file).name] = knees = _read_film(
+                    film, reader, out, make_unique_stem(film.file, taken)
+                )
+                rows += make_rows(film.file, knees)
             except InputError as error:
                 rows.append({"file": film.file, "status": f"unreadable: {error}"})
             stage.advance(1)
@@ -65,24 +80,61 @@ def landmarks(
     columns = dict.fromkeys(name for row in ordered for name in row)
     write_bytes(out / "landmarks.csv", encode_csv([{name: row.get(name) for name in columns} for row in rows]))
     write_landmark_json(out / "landmarks.json", rows)
+    if annotated:
+        _write_agreement(readings, annotated, out)
     count = sum(row["status"] == "read" for row in rows)
     print(f"table     {out / 'landmarks.csv'}, {count} of {len(rows)} knees read")
 
 
-def _read_film(film: "Film", reader: "Reader", out: Path, stem: str) -> list[dict[str, Any]]:
-    """Read one radiograph, write its landmark files and picture, and return its rows."""
+def _read_annotations(path: Path | None) -> "list[LandmarkAnnotation]":
+    """Read annotated landmarks, or return none without a path."""
+    from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
+    from ..io.patients.landmark_annotations import read_landmark_annotations
+
+    return [] if path is None else read_landmark_annotations(path, CONTOUR_LANDMARKS)
+
+
+def _write_agreement(
+    readings: "dict[str, tuple[KneeReading, ...]]", annotated: "list[LandmarkAnnotation]", out: Path
+) -> None:
+    """Compare readings with annotations, and write and print the agreement."""
+    from ..core.checks import InputError
+    from ..io.atomic_write import write_bytes
+    from ..io.cohort_records import encode_csv
+    from ..reader.landmark_agreement import compare_landmarks, summarise_agreement
+
+    matched = [annotation for annotation in annotated if annotation.file in readings]
+    if not matched:
+        raise InputError(f"annotated files must include a radiograph that was read, got {annotated[0].file} and others")
+    rows = []
+    for annotation in matched:
+        knees = readings[annotation.file]
+        # On a radiograph of both knees, the annotated side is compared; a single knee may have the wrong side.
+        knee = next((one for one in knees if one.side == annotation.side), knees[0] if len(knees) == 1 else None)
+        rows.append(compare_landmarks(knee, annotation.landmarks_mm, annotation.side))
+    grades = [annotation.grade for annotation in matched]
+    named = [{"file": one.file, "kl": one.grade, **row} for one, row in zip(matched, rows, strict=True)]
+    write_bytes(out / "agreement_films.csv", encode_csv(named))
+    summary = summarise_agreement(rows, grades)
+    write_bytes(out / "agreement.csv", encode_csv(summary))
+    for row in summary:
+        values = (f"{name} {value:.3g}" for name, value in row.items() if isinstance(value, (int, float)))
+        print(f"{row['radiographs']:<10}{', '.join(values)}")
+
+
+def _read_film(film: "Film", reader: "Reader", out: Path, stem: str) -> "tuple[KneeReading, ...]":
+    """Read one radiograph, and write its landmark files and picture."""
     from ..io.landmark_files import write_overlay, write_pts
     from ..io.patients.patient_radiographs import read_film
     from ..reader import read
     from ..reader.film_overlay import draw_overlay
-    from ..reader.reading_rows import make_rows
 
     image = read_film(film.file)
     knees = read(image.pixels, pixel_mm=film.pixel_mm or image.pixel_mm, reader=reader)
     for knee in knees:
         write_pts(out / "points" / f"{stem}_{knee.side}.pts", knee.landmarks_px)
     write_overlay(out / "pictures" / f"{stem}.png", draw_overlay(image.pixels, knees))
-    return make_rows(film.file, knees)
+    return knees
 
 
 def train_reader(

@@ -9,6 +9,9 @@ knee_finder     knees on a radiograph
 joint_measures  joint space widths and joint-line convergence from landmarks
 reader_table    mean shape and thresholds
 knee_reading    reading of a radiograph
+reading_rows    table rows of readings
+film_overlay    pictures of readings
+landmark_agreement  comparison with annotated landmarks
 """
 
 from .knee_reading import KneeReading, Reader, load_reader, read

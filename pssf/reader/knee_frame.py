@@ -170,3 +170,25 @@ def fit_frame(edges_px: Array, side: str) -> KneeFrame:
         angle_rad=float(np.arctan2(across[0], across[1])),
         side=side,
     )
+
+
+def fit_similarity(points: Array, target: Array) -> Array:
+    """Lay points on a target by the least-squares similarity.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Points, of any unit.
+    target : (n, 2) array
+        Target of each point, of any unit.
+
+    Returns
+    -------
+    (n, 2) array
+        Moved points.
+    """
+    a, b = points - points.mean(axis=0), target - target.mean(axis=0)
+    # Points as complex numbers: a rotation with a scale is a complex factor.
+    u, v = a[:, 0] + 1j * a[:, 1], b[:, 0] + 1j * b[:, 1]
+    moved = u * (np.conj(u) * v).sum() / (np.abs(u) ** 2).sum()
+    return np.column_stack((moved.real, moved.imag)) + target.mean(axis=0)

@@ -13,7 +13,7 @@ from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..core.checks import Array, InputError, require_in_range
 from .joint_measures import JointMeasures, measure_joint
 from .knee_finder import KneeCandidate, find_knees
-from .knee_frame import Grey, KneeFrame, fit_frame, normalise_grey
+from .knee_frame import Grey, KneeFrame, fit_frame, fit_similarity, normalise_grey
 from .networks import DecodedHeatMaps, Network, decode_heat_maps, load_network
 from .reader_table import PACKAGE_FOLDER, ReaderTable, load_reader_table
 
@@ -215,12 +215,9 @@ def compute_shape_residual(places_px: Array, frame: KneeFrame, mean_shape: Seque
     float
         Root-mean-square distance as a fraction of the plateau width.
     """
-    here, mean = frame.map_to_crop(places_px, 1.0, 1), np.asarray(mean_shape)
-    a, b = (points - points.mean(axis=0) for points in (here, mean))
-    # Points as complex numbers: a similarity is a complex factor.
-    u, v = a[:, 1] + 1j * a[:, 0], b[:, 1] + 1j * b[:, 0]
-    factor = (np.conj(v) * u).sum() / (np.abs(v) ** 2).sum()
-    return float(np.sqrt((np.abs(u - factor * v) ** 2).mean()))
+    here = frame.map_to_crop(places_px, 1.0, 1)
+    distance = fit_similarity(np.asarray(mean_shape), here) - here
+    return float(np.sqrt((distance**2).sum(axis=1).mean()))
 
 
 def _find_refusal(knee: KneeCandidate, decoded: DecodedHeatMaps, residual: float, table: ReaderTable) -> str:
