@@ -202,3 +202,45 @@ def test_network_of_another_shape_has_as_many_outputs():
 def test_settings_outside_their_range_are_refused(field, value):
     with pytest.raises(InputError, match=field):
         ReaderTrainingSettings(**{field: value})
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_prepared_image_has_masks_and_landmarks_where_the_knee_is(side):
+    from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
+    from pssf.dataset.coco_instances import encode_run_lengths
+    from pssf.reader_training import training_images
+
+    femur, osteophyte = np.zeros((200, 240), bool), np.zeros((200, 240), bool)
+    femur[30:90, 80:160], osteophyte[80:96, 150:175] = True, True
+    # The lateral edge of a right knee is on the viewer's left.
+    lateral, medial = ((100.0, 75.0), (100.0, 165.0)) if side == "right" else ((100.0, 165.0), (100.0, 75.0))
+    landmarks = dict.fromkeys(CONTOUR_LANDMARKS, (90.0, 150.0))
+    landmarks |= {"tibia_lateral_edge": lateral, "tibia_medial_edge": medial}
+    names = ("femur", "lateral_femur_osteophyte")
+    labels = {
+        "name": "a",
+        "side": side,
+        "pixel_mm": 0.9,
+        "kl": 2,
+        "landmarks_px": landmarks,
+        "instances": [
+            {"name": name, "segmentation": encode_run_lengths(mask)}
+            for name, mask in zip(names, (femur, osteophyte), strict=True)
+        ],
+    }
+    pixels = np.where(femur | osteophyte, 200, 20).astype(np.uint8)
+    made = training_images.collect_training_images([training_images._prepare(pixels, labels)])
+    bone, inside = made.coded_masks[0] & 1, made.coded_masks[0] >> 7
+    bright = made.crops[0] > 110
+    assert (bone.astype(bool) != bright)[inside == 1].mean() < 0.01
+    assert bone.sum() / (STORED_PX / STORED_SPAN / 90) ** 2 == pytest.approx((femur | osteophyte).sum(), rel=0.01)
+    np.testing.assert_allclose(made.plateau_mm, 81.0)
+    middle, half = (STORED_PX - 1) / 2, STORED_PX / STORED_SPAN / 2
+    np.testing.assert_allclose(
+        made.landmarks_px[0, [0, 8]], [[middle, middle - half], [middle, middle + half]], atol=1e-3
+    )
+    row, col = made.landmarks_px[0, 3].round().astype(int)
+    assert bone[row - 3, col] == 1
+    assert made.whole.shape == (1, WHOLE_PX, WHOLE_PX)
+    across = made.whole_edges_px[0, 1] - made.whole_edges_px[0, 0]
+    np.testing.assert_allclose(across, (0, 90 * WHOLE_PX / 240), atol=1e-3)

@@ -145,14 +145,15 @@ def _prepare(pixels: NDArray[np.uint8], labels: dict[str, Any]) -> dict[str, Any
     frame = fit_frame(edges, side)
     plateau_px = STORED_PX / STORED_SPAN
     grey, inside = frame.cut_crop(pixels.astype(np.float32), plateau_px, STORED_PX)
-    coded = inside.astype(np.uint8) << 7
-    for k, mask in enumerate(_collect_masks(labels, pixels.shape)):
-        coded |= ((frame.cut_crop(mask, plateau_px, STORED_PX)[0] > 0.5) & inside).astype(np.uint8) << k
+    nearest = frame.map_to_image(np.moveaxis(np.indices((STORED_PX, STORED_PX), float), 0, -1), plateau_px, STORED_PX)
+    rows, cols = np.moveaxis(np.rint(nearest).astype(int), -1, 0)
+    masks = _code_masks(labels, pixels.shape)
+    coded = np.where(inside, masks[rows.clip(0, len(masks) - 1), cols.clip(0, masks.shape[1] - 1)] | (1 << 7), 0)
     whole, whole_edges = _reduce(pixels, edges, side)
     return {
         "names": labels["name"],
         "crops": np.clip(np.rint(grey), 0, 255).astype(np.uint8),
-        "coded_masks": coded,
+        "coded_masks": coded.astype(np.uint8),
         "landmarks_px": frame.map_to_crop(landmarks, plateau_px, STORED_PX).astype(np.float32),
         "plateau_mm": np.float32(frame.width_px * labels["pixel_mm"]),
         "whole": whole,
@@ -161,15 +162,16 @@ def _prepare(pixels: NDArray[np.uint8], labels: dict[str, Any]) -> dict[str, Any
     }
 
 
-def _collect_masks(labels: dict[str, Any], shape: tuple[int, ...]) -> list[NDArray[np.float32]]:
-    """Return the mask of each bone with its osteophytes, 0 or 1."""
-    masks = {bone: np.zeros(shape, bool) for bone in BONES}
+def _code_masks(labels: dict[str, Any], shape: tuple[int, ...]) -> NDArray[np.uint8]:
+    """Return the masks of all bones, with their osteophytes, as bits."""
+    coded = np.zeros(shape, np.uint8)
     for instance in labels["instances"]:
         parts = instance["name"].split("_")
         bone = parts[1] if parts[-1] == "osteophyte" else instance["name"]
-        if bone in masks:
-            masks[bone] |= np.asarray(decode_run_lengths(instance["segmentation"]), bool)
-    return [mask.astype(np.float32) for mask in masks.values()]
+        if bone in BONES:
+            mask = np.asarray(decode_run_lengths(instance["segmentation"]), bool)
+            coded |= mask.astype(np.uint8) << BONES.index(bone)
+    return coded
 
 
 def _reduce(pixels: NDArray[np.uint8], edges: Array, side: str) -> tuple[NDArray[np.uint8], Array]:
