@@ -17,6 +17,7 @@ from pssf.io.patients.landmark_annotations import read_landmark_annotations
 from pssf.reader import Reader, load_reader, read
 from pssf.reader.film_overlay import draw_overlay
 from pssf.reader.joint_measures import measure_joint
+from pssf.reader.knee_finder import find_knees
 from pssf.reader.knee_frame import KneeFrame, fit_frame, fit_similarity, normalise_grey
 from pssf.reader.landmark_agreement import compare_landmarks, summarise_agreement
 from pssf.reader.networks import Network, NetworkSettings, decode_heat_maps, load_network
@@ -382,3 +383,39 @@ def test_command_writes_tables_points_and_pictures(tmp_path, monkeypatch, capsys
         assert picture.size == (400, 300)
     (agreement, _) = csv.DictReader((tmp_path / "out" / "agreement.csv").open(encoding="utf-8"))
     assert (agreement["found"], agreement["side_right"]) == ("1", "1")
+
+
+def locate_fixed(places, heights):
+    """Return a locator of 96 x 96 images with peaks of given heights at the edges, in the order of its channels."""
+    maps = np.array(
+        [
+            height + draw_heat_maps(np.array([place]), CROP_PX // 2, 4.0)[0]
+            for place, height in zip(places, heights, strict=True)
+        ]
+    )
+    output = maps[None].astype(np.float32), np.zeros((1, 0, CROP_PX // 2, CROP_PX // 2), np.float32)
+    edges = ("right_lateral", "right_medial", "left_lateral", "left_medial")
+    return Network(
+        session=KnownSession(lambda _: output),
+        settings=NetworkSettings(crop_px=CROP_PX, plateau_px=0.0, stride=2, landmarks=edges, masks=()),
+    )
+
+
+def test_both_knees_are_found_from_the_left_to_the_right_of_the_viewer():
+    places = [(50.0, 12.0), (50.0, 34.0), (54.0, 84.0), (54.0, 62.0)]
+    knees = find_knees(np.ones((192, 192), np.float32), locate_fixed(places, (4, 4, 4, 4)), 0.3)
+    assert [knee.frame.side for knee in knees] == ["right", "left"]
+    np.testing.assert_allclose([knee.frame.width_px for knee in knees], 44.0, atol=0.5)
+    np.testing.assert_allclose([knee.frame.angle_rad for knee in knees], 0.0, atol=0.02)
+
+
+@pytest.mark.parametrize(("heights", "side"), [((4, 4, 2, 2), "right"), ((1, 4, 3, 3), "left")])
+def test_one_knee_has_the_side_with_the_higher_score(heights, side):
+    places = [(50.0, 30.0), (50.0, 66.0), (50.0, 66.0), (50.0, 30.0)]
+    (knee,) = find_knees(np.ones((96, 96), np.float32), locate_fixed(places, heights), 0.3)
+    assert knee.frame.side == side
+
+
+def test_knee_whose_edges_are_exchanged_is_not_reported():
+    places = [(50.0, 66.0), (50.0, 30.0), (50.0, 30.0), (50.0, 66.0)]
+    assert find_knees(np.ones((96, 96), np.float32), locate_fixed(places, (4, 4, -9, -9)), 0.3) == []
