@@ -333,7 +333,7 @@ def test_summary_counts_and_orders_the_radiographs():
     np.testing.assert_allclose(everything["median_mm"], 1.6)
     assert (everything["below_1_mm"], everything["below_1.5_mm"], everything["below_2.5_mm"]) == (0.25, 0.5, 0.75)
     np.testing.assert_allclose(everything["medial_gap_bias_mm"], 0.5 + 0.01 * 1.75)
-    # Of the four pairs of KL 0 with KL 3 or 4, one has the larger joint space with KL 3.
+    # KL 3 has a larger joint space than KL 0 in one of the four pairs.
     np.testing.assert_allclose(everything["auc_severe"], 0.75)
     assert [row["radiographs"] for row in by_grade] == ["KL 0", "KL 3", "KL 4"]
 

@@ -44,14 +44,12 @@ def images():
         for height, (row, col) in zip((250, 150), edges, strict=True)
     )
     return TrainingImages(
-        names=[str(k) for k in range(6)],
         crops=np.rint(255 * np.array(crops)).astype(np.uint8),
         coded_masks=np.full((6, STORED_PX, STORED_PX), 0b10000001, np.uint8),
         landmarks_px=landmarks.astype(np.float32),
         plateau_mm=np.full(6, 78.0, np.float32),
         whole=np.repeat(whole.astype(np.uint8)[None], 6, axis=0),
         whole_edges_px=np.repeat(edges[None], 6, axis=0).astype(np.float32),
-        grades=np.arange(6) % 5,
     )
 
 

@@ -140,7 +140,7 @@ def dataset(
     if dry_run:
         _print_estimate(settings, workers)
         return
-    make(settings, out, workers, scheduler)
+    make_with_progress(settings, out, workers, scheduler)
 
 
 @dataset_app.command()
@@ -161,7 +161,7 @@ def verify(folder: Annotated[Path, typer.Argument(help="Folder of a data set wri
     print(f"intact    {images} images, all unchanged")
 
 
-def make(settings: "DatasetSettings", out: Path | None, workers: int, scheduler: str | None) -> None:
+def make_with_progress(settings: "DatasetSettings", out: Path | None, workers: int, scheduler: str | None) -> None:
     """Make the data set with a progress bar."""
     from ..core.checks import InputError
     from ..core.processes.execution import Execution

@@ -34,6 +34,7 @@ def collect_films(path: Path, side: str, pixel_mm: float) -> "list[Film]":
     from ..core.checks import require_choice, require_in_range
     from ..io.cohort_records import hash_file
     from ..io.patients.patient_list import (
+        PIXEL_MM_RANGE,
         SIDES,
         Film,
         list_films,
@@ -44,7 +45,7 @@ def collect_films(path: Path, side: str, pixel_mm: float) -> "list[Film]":
     if side:
         require_choice("side", side, SIDES)
     if pixel_mm:
-        require_in_range("pixel-mm", pixel_mm, 0.01, 5, "mm")
+        require_in_range("pixel-mm", pixel_mm, *PIXEL_MM_RANGE, "mm")
     if path.is_dir() or path.suffix.lower() == ".csv":
         folder = path if path.is_dir() else path.parent
         films = [replace(film, file=(folder / film.file).as_posix()) for film in list_films(path)]

@@ -50,9 +50,7 @@ def landmarks(
     from ..core.checks import InputError
     from ..core.processes.execution import Execution
     from ..core.progress_display import show_progress_bar
-    from ..io.atomic_write import write_bytes
-    from ..io.cohort_records import encode_csv
-    from ..io.landmark_files import write_landmark_json
+    from ..io.cohort_records import write_csv, write_json
     from ..reader import load_reader
     from ..reader.reading_rows import make_rows
 
@@ -75,11 +73,8 @@ def landmarks(
     for row in rows:
         if row["status"] != "read":
             print(f"pssf: {row['file']}: {row['status']}", file=sys.stderr)
-    # The first row of a radiograph without a knee lacks columns, so rows with all columns determine their order.
-    ordered = sorted(rows, key=lambda row: -len(row))[:1]
-    columns = dict.fromkeys(name for row in ordered for name in row)
-    write_bytes(out / "landmarks.csv", encode_csv([{name: row.get(name) for name in columns} for row in rows]))
-    write_landmark_json(out / "landmarks.json", rows)
+    write_csv(out / "landmarks.csv", rows)
+    write_json(out / "landmarks.json", rows)
     if annotated:
         _write_agreement(readings, annotated, out)
     count = sum(row["status"] == "read" for row in rows)
@@ -99,8 +94,7 @@ def _write_agreement(
 ) -> None:
     """Compare readings with annotations, and write and print the agreement."""
     from ..core.checks import InputError
-    from ..io.atomic_write import write_bytes
-    from ..io.cohort_records import encode_csv
+    from ..io.cohort_records import write_csv
     from ..reader.landmark_agreement import compare_landmarks, summarise_agreement
 
     matched = [annotation for annotation in annotated if annotation.file in readings]
@@ -114,9 +108,9 @@ def _write_agreement(
         rows.append(compare_landmarks(knee, annotation.landmarks_mm, annotation.side))
     grades = [annotation.grade for annotation in matched]
     named = [{"file": one.file, "kl": one.grade, **row} for one, row in zip(matched, rows, strict=True)]
-    write_bytes(out / "agreement_films.csv", encode_csv(named))
+    write_csv(out / "agreement_films.csv", named)
     summary = summarise_agreement(rows, grades)
-    write_bytes(out / "agreement.csv", encode_csv(summary))
+    write_csv(out / "agreement.csv", summary)
     for row in summary:
         values = (f"{name} {value:.3g}" for name, value in row.items() if isinstance(value, (int, float)))
         print(f"{row['radiographs']:<10}{', '.join(values)}")
@@ -124,8 +118,9 @@ def _write_agreement(
 
 def _read_film(film: "Film", reader: "Reader", out: Path, stem: str) -> "tuple[KneeReading, ...]":
     """Read one radiograph, and write its landmark files and picture."""
-    from ..io.landmark_files import write_overlay, write_pts
+    from ..io.landmark_files import write_pts
     from ..io.patients.patient_radiographs import read_film
+    from ..io.pictures import write_image_row
     from ..reader import read
     from ..reader.film_overlay import draw_overlay
 
@@ -133,7 +128,7 @@ def _read_film(film: "Film", reader: "Reader", out: Path, stem: str) -> "tuple[K
     knees = read(image.pixels, pixel_mm=film.pixel_mm or image.pixel_mm, reader=reader)
     for knee in knees:
         write_pts(out / "points" / f"{stem}_{knee.side}.pts", knee.landmarks_px)
-    write_overlay(out / "pictures" / f"{stem}.png", draw_overlay(image.pixels, knees))
+    write_image_row([draw_overlay(image.pixels, knees)], out / "pictures" / f"{stem}.png")
     return knees
 
 
@@ -158,7 +153,7 @@ def train_reader(
     """
     from ..core.checks import InputError, require_workers
     from ..dataset import DatasetSettings
-    from .dataset_command import make
+    from .dataset_command import make_with_progress
 
     require_workers(workers, "processes")
     try:
@@ -175,7 +170,8 @@ def train_reader(
     )
     folder = out / "data" if data is None else data
     if data is None:
-        make(DatasetSettings(images=images, seed=seed, matrix=1024, kinds=("display",)), folder, workers, None)
+        simulated = DatasetSettings(images=images, seed=seed, matrix=1024, kinds=("display",))
+        make_with_progress(simulated, folder, workers, None)
     errors, _ = make_reader(
         folder,
         settings,

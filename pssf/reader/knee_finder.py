@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy.special import expit
 
 from ..core.checks import Array
-from .knee_frame import Grey, KneeFrame, fit_frame, normalise_grey
+from .knee_frame import Grey, KneeFrame, fit_frame, make_whole_frame, normalise_grey
 from .networks import Network
 
 # Half the side of the window around the highest value, in pixels of the heat map, from which the position is computed.
@@ -50,12 +50,7 @@ def find_knees(image: Grey, locator: Network, min_score: float) -> list[KneeCand
         Knees from the viewer's left to the viewer's right; empty if no knee has the score.
     """
     size = locator.settings.crop_px
-    whole = KneeFrame(
-        centre_px=((image.shape[0] - 1) / 2, (image.shape[1] - 1) / 2),
-        width_px=max(image.shape) / size,
-        angle_rad=0.0,
-        side="right",
-    )
+    whole = make_whole_frame(image.shape, size, "right")
     heat_maps, _ = locator.run(normalise_grey(*whole.cut_crop(image, 1.0, size)))
     scores = expit(heat_maps)
     knees = []

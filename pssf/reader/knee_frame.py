@@ -10,15 +10,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..core.checks import Array
 
 Grey = NDArray[np.float32]
+# Indices of the lateral and the medial edge of the tibial plateau among the landmarks.
+PLATEAU_EDGES = [CONTOUR_LANDMARKS.index(f"tibia_{side}_edge") for side in ("lateral", "medial")]
 # Standard deviation of the Gaussian filter before an image is reduced, in pixels of the crop.
 _ANTIALIASING_PX = 0.4
 # Largest number of image pixels per crop pixel that needs no filter before the image is reduced.
 _MAX_UNFILTERED_STEP = 1.2
 # Smallest standard deviation of grey values by which a crop is divided.
-_MIN_GREY_SD = 1e-3
+MIN_GREY_SD = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,6 +84,29 @@ class KneeFrame:
         """
         return (points_px - self.centre_px) @ np.linalg.inv(self._compute_matrix(plateau_px)).T + (crop_px - 1) / 2
 
+    def find_box(self, shape: tuple[int, ...], plateau_px: float, crop_px: int) -> tuple[slice, slice]:
+        """Find the rows and columns of the image that a crop shows.
+
+        Parameters
+        ----------
+        shape : (int, int) tuple
+            Rows and columns of the image.
+        plateau_px : float
+            Width of the plateau in the crop, in pixels.
+        crop_px : int
+            Side of the crop, in pixels.
+
+        Returns
+        -------
+        (slice, slice) tuple
+            Rows and columns, with a margin of two pixels of the crop.
+        """
+        margin = 2 * self.width_px / plateau_px
+        corners = self.map_to_image(np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * (crop_px - 1.0), plateau_px, crop_px)
+        low = np.clip(np.floor(corners.min(axis=0) - margin).astype(int), 0, np.array(shape) - 1)
+        high = np.clip(np.ceil(corners.max(axis=0) + margin).astype(int) + 1, low + 1, shape)
+        return slice(low[0], high[0]), slice(low[1], high[1])
+
     def cut_crop(self, image: Grey, plateau_px: float, crop_px: int) -> tuple[Grey, NDArray[np.bool_]]:
         """Cut a crop out of an image.
 
@@ -103,10 +129,8 @@ class KneeFrame:
         matrix = self._compute_matrix(plateau_px)
         step = self.width_px / plateau_px
         start = np.asarray(self.centre_px) - matrix @ np.full(2, (crop_px - 1) / 2)
-        corners = self.map_to_image(np.array([[0, 0], [0, 1], [1, 0], [1, 1]]) * (crop_px - 1.0), plateau_px, crop_px)
-        low = np.clip(np.floor(corners.min(axis=0) - 2 * step).astype(int), 0, np.array(image.shape) - 1)
-        high = np.clip(np.ceil(corners.max(axis=0) + 2 * step).astype(int) + 1, low + 1, image.shape)
-        part = image[low[0] : high[0], low[1] : high[1]]
+        box = self.find_box(image.shape, plateau_px, crop_px)
+        part, low = image[box], [along.start for along in box]
         if step > _MAX_UNFILTERED_STEP:
             part = ndimage.gaussian_filter(part, _ANTIALIASING_PX * step, mode="nearest")
         crop = ndimage.affine_transform(
@@ -142,8 +166,30 @@ def normalise_grey(grey: Grey, inside: NDArray[np.bool_]) -> Grey:
     values = grey[inside]
     if values.size == 0:
         return np.zeros_like(grey)
-    scaled = (grey - values.mean()) / max(float(values.std()), _MIN_GREY_SD)
+    scaled = (grey - values.mean()) / max(float(values.std()), MIN_GREY_SD)
     return np.where(inside, scaled, np.float32(0)).astype(np.float32)
+
+
+def make_whole_frame(shape: tuple[int, ...], size_px: int, side: str) -> KneeFrame:
+    """Return the frame in which a crop with a plateau of one pixel shows the whole image.
+
+    Parameters
+    ----------
+    shape : (int, int) tuple
+        Rows and columns of the image.
+    size_px : int
+        Side of the crop, in pixels.
+    side : {"right", "left"}
+        Left: the crop is mirrored.
+
+    Returns
+    -------
+    KneeFrame
+        Frame.
+    """
+    return KneeFrame(
+        centre_px=((shape[0] - 1) / 2, (shape[1] - 1) / 2), width_px=max(shape) / size_px, angle_rad=0.0, side=side
+    )
 
 
 def fit_frame(edges_px: Array, side: str) -> KneeFrame:

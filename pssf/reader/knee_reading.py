@@ -11,9 +11,10 @@ from scipy import ndimage
 
 from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..core.checks import Array, InputError, require_in_range
+from ..io.patients.patient_list import PIXEL_MM_RANGE
 from .joint_measures import JointMeasures, measure_joint
 from .knee_finder import KneeCandidate, find_knees
-from .knee_frame import Grey, KneeFrame, fit_frame, fit_similarity, normalise_grey
+from .knee_frame import PLATEAU_EDGES, Grey, KneeFrame, fit_frame, fit_similarity, normalise_grey
 from .networks import DecodedHeatMaps, Network, decode_heat_maps, load_network
 from .reader_table import PACKAGE_FOLDER, ReaderTable, load_reader_table
 
@@ -21,7 +22,6 @@ LOCATOR_FILE = "locator.onnx"
 LANDMARK_FILE = "landmarks.onnx"
 # Number of times that the landmarks are found in the frame that the last landmarks define.
 _PASSES = 3
-_EDGES = [CONTOUR_LANDMARKS.index(f"tibia_{side}_edge") for side in ("lateral", "medial")]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -161,7 +161,7 @@ def read(image: ArrayLike, *, pixel_mm: float | None = None, reader: Reader | No
     if not np.isfinite(grey).all():
         raise InputError(f"image must have finite grey values, got {np.sum(~np.isfinite(grey))} infinite or NaN")
     if pixel_mm is not None:
-        require_in_range("pixel_mm", pixel_mm, 0.01, 5.0, "mm")
+        require_in_range("pixel_mm", pixel_mm, *PIXEL_MM_RANGE, "mm")
     used = load_reader() if reader is None else reader
     values = grey.astype(np.float32)
     knees = find_knees(values, used.locator, used.table.min_score)
@@ -177,7 +177,7 @@ def _read_knee(image: Grey, knee: KneeCandidate, pixel_mm: float | None, reader:
         heat_maps, logits = reader.landmarks.run(crop)
         decoded = decode_heat_maps(heat_maps, settings.stride)
         places, read_in = frame.map_to_image(decoded.places_px, settings.plateau_px, settings.crop_px), frame
-        frame = fit_frame(places[_EDGES], frame.side)
+        frame = fit_frame(places[PLATEAU_EDGES], frame.side)
     residual = compute_shape_residual(places, frame, reader.table.mean_shape)
     return KneeReading(
         side=frame.side,
@@ -239,11 +239,12 @@ def _draw_masks(
 ) -> dict[str, NDArray[np.bool_]]:
     """Map the masks of a crop to the image."""
     settings = network.settings
-    rows, cols = np.indices(shape)
-    places = frame.map_to_crop(np.stack((rows, cols), axis=-1), settings.plateau_px, settings.crop_px)
+    box = frame.find_box(shape, settings.plateau_px, settings.crop_px)
+    points = np.moveaxis(np.mgrid[box].astype(float), 0, -1)
+    places = frame.map_to_crop(points, settings.plateau_px, settings.crop_px)
     # With pixel unshuffling, pixel k of the output covers pixels stride k to stride k + stride - 1 of the crop.
     at = np.moveaxis((places - (settings.stride - 1) / 2) / settings.stride, -1, 0)
-    return {
-        name: ndimage.map_coordinates(values, at, order=1, mode="constant", cval=-1.0) > 0
-        for name, values in zip(names, logits, strict=True)
-    }
+    masks = {name: np.zeros(shape, bool) for name in names}
+    for mask, values in zip(masks.values(), logits, strict=True):
+        mask[box] = ndimage.map_coordinates(values, at, order=1, mode="constant", cval=-1.0) > 0
+    return masks

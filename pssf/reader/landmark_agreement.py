@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy import stats
 
 from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..core.checks import Array
@@ -18,7 +19,7 @@ from .knee_reading import KneeReading
 Row = dict[str, Any]
 # Limits of the mean distance per radiograph for which the fraction of radiographs is given, in mm.
 _LIMITS_MM = (1.0, 1.5, 2.5)
-# KL grades that are told apart by the smaller joint space.
+# KL grades between which the smaller joint space discriminates.
 _NORMAL, _SEVERE = (0,), (3, 4)
 
 
@@ -123,5 +124,5 @@ def _compute_auc(rows: Sequence[Row], grades: Sequence[int | None]) -> float | N
     severe = np.array([gap for grade, gap in least if grade in _SEVERE])
     if not (normal.size and severe.size):
         return None
-    above, equal = (normal[:, None] > severe).mean(), (normal[:, None] == severe).mean()
-    return float(above + equal / 2)
+    # `study` has the AUC of its scores, but the reader works without its libraries.
+    return float(stats.mannwhitneyu(normal, severe).statistic / (normal.size * severe.size))

@@ -7,7 +7,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from .training_images import BONES, STORED_PX, STORED_SPAN, TrainingImages
+from ..reader.knee_frame import MIN_GREY_SD
+from .training_images import BONES, STORED_PLATEAU_PX, STORED_PX, TrainingImages
 from .unet import STRIDE
 
 # Standard deviations of the random frame around a knee; the frames of the locator vary less (measured on simulations).
@@ -21,7 +22,6 @@ _CROPPED_FRACTION = 0.6
 _EDGE_DISTANCES = {"row": (0.45, 0.9), "col": (0.5, 0.9)}
 # Least distance of a landmark from the edge of the input that counts as visible, in pixels.
 _MARGIN_PX = 2.0
-_MIN_GREY_SD = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,7 +72,7 @@ def make_landmark_batch(
         Batch.
     """
     count = len(chosen)
-    matrix, shift = _draw_frames(count, STORED_PX / STORED_SPAN / plateau_px, randomise_grey is not None)
+    matrix, shift = _draw_frames(count, STORED_PLATEAU_PX / plateau_px, randomise_grey is not None)
     middle, stored_middle = (crop_px - 1) / 2, (STORED_PX - 1) / 2
     axis = torch.arange(crop_px, dtype=torch.float32) - middle
     steps = torch.stack(torch.meshgrid(axis, axis, indexing="ij"), dim=-1)
@@ -117,7 +117,7 @@ def normalise(grey: Tensor, inside: Tensor) -> Tensor:
     """
     count = inside.sum(dim=(2, 3), keepdim=True).clamp(min=1)
     mean = (grey * inside).sum(dim=(2, 3), keepdim=True) / count
-    sd = (((grey - mean) ** 2 * inside).sum(dim=(2, 3), keepdim=True) / count).sqrt().clamp(min=_MIN_GREY_SD)
+    sd = (((grey - mean) ** 2 * inside).sum(dim=(2, 3), keepdim=True) / count).sqrt().clamp(min=MIN_GREY_SD)
     return (grey - mean) / sd * inside
 
 
@@ -130,7 +130,7 @@ def _draw_frames(count: int, step: float, random: bool) -> tuple[Tensor, Tensor]
     angle = torch.deg2rad(_ANGLE_SD_DEG * chance[:, 1])
     cosine, sine = size * torch.cos(angle), size * torch.sin(angle)
     matrix = torch.stack((torch.stack((cosine, sine), dim=1), torch.stack((-sine, cosine), dim=1)), dim=1)
-    return matrix, _SHIFT_SD * STORED_PX / STORED_SPAN * chance[:, 2:]
+    return matrix, _SHIFT_SD * STORED_PLATEAU_PX * chance[:, 2:]
 
 
 def _draw_image_edges(count: int, crop_px: int, plateau_px: float) -> Tensor:

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -12,8 +11,8 @@ import torch
 from torch import Tensor, nn
 
 from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
-from ..io.atomic_write import make_folder, write_bytes
-from ..io.cohort_records import claim_folder, hash_file
+from ..io.atomic_write import make_folder
+from ..io.cohort_records import claim_folder, hash_file, write_json
 from ..io.dataset_files import SETTINGS_FILE as DATASET_FILE
 from ..reader.knee_reading import LANDMARK_FILE, LOCATOR_FILE
 from ..reader.networks import NetworkSettings, load_network
@@ -25,7 +24,7 @@ from .losses import compute_edge_loss, compute_landmark_loss
 from .reader_export import export_network
 from .reader_thresholds import set_thresholds
 from .training_images import BONES, TrainingImages, read_displays, read_training_images
-from .training_loop import train_network
+from .training_loop import ComputeLoss, train_network
 from .training_settings import ReaderTrainingSettings
 from .unet import STRIDE, ReaderUNet, compute_expected_places
 
@@ -89,15 +88,6 @@ def train_landmark_network(
         heat_maps, masks = net(made.image)
         return compute_landmark_loss(heat_maps, masks, made.places_px, made.visible, made.bones, made.inside)
 
-    train_network(
-        network,
-        compute_loss,
-        steps=settings.landmark_steps,
-        learning_rate=settings.learning_rate,
-        seed=settings.seed,
-        checkpoint=folder / "landmarks.pt",
-        report=lambda done, of, loss: report("landmarks", done, of, loss),
-    )
     described = NetworkSettings(
         crop_px=settings.crop_px,
         plateau_px=settings.plateau_px,
@@ -105,7 +95,8 @@ def train_landmark_network(
         landmarks=CONTOUR_LANDMARKS,
         masks=BONES,
     )
-    export_network(network, described, folder / LANDMARK_FILE)
+    path, seed = folder / LANDMARK_FILE, settings.seed
+    _train_and_export(network, compute_loss, settings, described, path, settings.landmark_steps, seed, report)
     return network
 
 
@@ -137,18 +128,33 @@ def train_locator(images: TrainingImages, settings: ReaderTrainingSettings, fold
         image, edges = make_locator_batch(images, settings.batch, _LOCATOR_PX, rng, randomise)
         return compute_edge_loss(net(image)[0], edges)
 
+    described = NetworkSettings(crop_px=_LOCATOR_PX, plateau_px=0.0, stride=STRIDE, landmarks=EDGE_CHANNELS, masks=())
+    path, seed = folder / LOCATOR_FILE, settings.seed + 1
+    _train_and_export(network, compute_loss, settings, described, path, settings.locator_steps, seed, report)
+    return network
+
+
+def _train_and_export(
+    network: ReaderUNet,
+    compute_loss: ComputeLoss,
+    settings: ReaderTrainingSettings,
+    described: NetworkSettings,
+    path: Path,
+    steps: int,
+    seed: int,
+    report: Report,
+) -> None:
+    """Train a network with a checkpoint beside its file, and write it."""
     train_network(
         network,
         compute_loss,
-        steps=settings.locator_steps,
+        steps=steps,
         learning_rate=settings.learning_rate,
-        seed=settings.seed + 1,
-        checkpoint=folder / "locator.pt",
-        report=lambda done, of, loss: report("locator", done, of, loss),
+        seed=seed,
+        checkpoint=path.with_suffix(".pt"),
+        report=lambda done, of, loss: report(path.stem, done, of, loss),
     )
-    described = NetworkSettings(crop_px=_LOCATOR_PX, plateau_px=0.0, stride=STRIDE, landmarks=EDGE_CHANNELS, masks=())
-    export_network(network, described, folder / LOCATOR_FILE)
-    return network
+    export_network(network, described, path)
 
 
 def measure_hold_out(network: ReaderUNet, images: TrainingImages, settings: ReaderTrainingSettings) -> HoldOutErrors:
@@ -227,12 +233,7 @@ def make_reader(
         read_displays(data, "validation"),
         settings.seed,
     )
-    write_bytes(folder / TABLE_FILE, _encode(table))
+    write_json(folder / TABLE_FILE, msgspec.to_builtins(table))
     errors = measure_hold_out(network, read_training_images(data, "test"), settings)
-    write_bytes(folder / ERRORS_FILE, _encode(asdict(errors)))
+    write_json(folder / ERRORS_FILE, asdict(errors))
     return errors, table
-
-
-def _encode(values: Any) -> bytes:
-    """Return values as indented JSON."""
-    return msgspec.json.format(msgspec.json.encode(values), indent=1) + b"\n"

@@ -15,7 +15,7 @@ from ..reader.knee_reading import Reader, read
 from ..reader.networks import Network
 from ..reader.reader_table import ReaderTable
 from .locator_batches import make_wrong_image
-from .training_images import STORED_PX, STORED_SPAN, TrainingImages
+from .training_images import STORED_PLATEAU_PX, STORED_PX, TrainingImages
 
 # Number of images that are wrong on purpose.
 _WRONG_IMAGES = 300
@@ -41,7 +41,7 @@ def compute_mean_shape(images: TrainingImages) -> tuple[tuple[float, float], ...
     tuple of (float, float)
         Row and column of the sixteen landmarks, as fractions of the plateau width.
     """
-    shape = (images.landmarks_px - (STORED_PX - 1) / 2).mean(axis=0) / (STORED_PX / STORED_SPAN)
+    shape = (images.landmarks_px - (STORED_PX - 1) / 2).mean(axis=0) / STORED_PLATEAU_PX
     return tuple((round(float(row), 5), round(float(col), 5)) for row, col in shape)
 
 

@@ -13,14 +13,14 @@ from ..core.checks import Array, InputError
 from ..dataset.coco_instances import decode_run_lengths
 from ..io.dataset_files import read_pixels, read_sample_labels
 from ..io.dataset_index_files import read_index_table
-from ..reader.knee_frame import KneeFrame, fit_frame
+from ..reader.knee_frame import PLATEAU_EDGES, fit_frame, make_whole_frame
 
 # Masks that the reader finds. Osteophytes belong to the mask of their bone.
 BONES = ("femur", "tibia", "fibula", "patella")
-EDGES = ("tibia_lateral_edge", "tibia_medial_edge")
-# Side of a stored crop, in pixels. Its plateau is 1 / STORED_SPAN of the side wide.
+# Side of a stored crop in pixels, its side in plateau widths, and the width of its plateau in pixels.
 STORED_PX = 448
 STORED_SPAN = 2.3
+STORED_PLATEAU_PX = STORED_PX / STORED_SPAN
 # Longer side of a stored whole image, in pixels.
 WHOLE_PX = 384
 
@@ -31,8 +31,6 @@ class TrainingImages:
 
     Attributes
     ----------
-    names : list of str
-        Name of each image in the data set.
     crops : (n, STORED_PX, STORED_PX) uint8 array
         Grey values in the frame of the knee.
     coded_masks : (n, STORED_PX, STORED_PX) uint8 array
@@ -45,18 +43,14 @@ class TrainingImages:
         Whole images, padded with 0.
     whole_edges_px : (n, 2, 2) float32 array
         Row and column of the lateral and medial plateau edge in the whole image, in pixels.
-    grades : (n,) int64 array
-        KL grades.
     """
 
-    names: list[str]
     crops: NDArray[np.uint8]
     coded_masks: NDArray[np.uint8]
     landmarks_px: NDArray[np.float32]
     plateau_mm: NDArray[np.float32]
     whole: NDArray[np.uint8]
     whole_edges_px: NDArray[np.float32]
-    grades: NDArray[np.int64]
 
 
 def read_training_images(folder: Path, split: str) -> TrainingImages:
@@ -132,33 +126,29 @@ def collect_training_images(prepared: list[dict[str, Any]]) -> TrainingImages:
     TrainingImages
         Images of all entries.
     """
-    columns = {name: [entry[name] for entry in prepared] for name in prepared[0]}
-    names = columns.pop("names")
-    return TrainingImages(names=names, **{name: np.array(values) for name, values in columns.items()})
+    return TrainingImages(**{name: np.array([entry[name] for entry in prepared]) for name in prepared[0]})
 
 
 def _prepare(pixels: NDArray[np.uint8], labels: dict[str, Any]) -> dict[str, Any]:
     """Cut the crop of one image and reduce the whole image."""
     side = labels["side"]
     landmarks = np.array([labels["landmarks_px"][name] for name in CONTOUR_LANDMARKS])
-    edges = landmarks[[CONTOUR_LANDMARKS.index(name) for name in EDGES]]
+    edges = landmarks[PLATEAU_EDGES]
     frame = fit_frame(edges, side)
-    plateau_px = STORED_PX / STORED_SPAN
-    grey, inside = frame.cut_crop(pixels.astype(np.float32), plateau_px, STORED_PX)
-    nearest = frame.map_to_image(np.moveaxis(np.indices((STORED_PX, STORED_PX), float), 0, -1), plateau_px, STORED_PX)
+    grey, inside = frame.cut_crop(pixels.astype(np.float32), STORED_PLATEAU_PX, STORED_PX)
+    points = np.moveaxis(np.indices((STORED_PX, STORED_PX), float), 0, -1)
+    nearest = frame.map_to_image(points, STORED_PLATEAU_PX, STORED_PX)
     rows, cols = np.moveaxis(np.rint(nearest).astype(int), -1, 0)
     masks = _code_masks(labels, pixels.shape)
     coded = np.where(inside, masks[rows.clip(0, len(masks) - 1), cols.clip(0, masks.shape[1] - 1)] | (1 << 7), 0)
     whole, whole_edges = _reduce(pixels, edges, side)
     return {
-        "names": labels["name"],
         "crops": np.clip(np.rint(grey), 0, 255).astype(np.uint8),
         "coded_masks": coded.astype(np.uint8),
-        "landmarks_px": frame.map_to_crop(landmarks, plateau_px, STORED_PX).astype(np.float32),
+        "landmarks_px": frame.map_to_crop(landmarks, STORED_PLATEAU_PX, STORED_PX).astype(np.float32),
         "plateau_mm": np.float32(frame.width_px * labels["pixel_mm"]),
         "whole": whole,
         "whole_edges_px": whole_edges.astype(np.float32),
-        "grades": int(labels["kl"]),
     }
 
 
@@ -176,9 +166,6 @@ def _code_masks(labels: dict[str, Any], shape: tuple[int, ...]) -> NDArray[np.ui
 
 def _reduce(pixels: NDArray[np.uint8], edges: Array, side: str) -> tuple[NDArray[np.uint8], Array]:
     """Reduce a whole image and mirror a left knee; return it with its plateau edges."""
-    step = max(pixels.shape) / WHOLE_PX
-    frame = KneeFrame(
-        centre_px=((pixels.shape[0] - 1) / 2, (pixels.shape[1] - 1) / 2), width_px=step, angle_rad=0.0, side=side
-    )
+    frame = make_whole_frame(pixels.shape, WHOLE_PX, side)
     grey, _ = frame.cut_crop(pixels.astype(np.float32), 1.0, WHOLE_PX)
     return np.clip(np.rint(grey), 0, 255).astype(np.uint8), frame.map_to_crop(edges, 1.0, WHOLE_PX)

@@ -23,6 +23,7 @@ from ...data.table_records import Pair, encode_records
 from ...geometry.view import resolve_view
 from ...model.knee import Knee
 from ...model.protocol import Protocol
+from ...reader.joint_measures import GAP_FRACTIONS, compute_convergence_deg, compute_gaps, normalise_to_plateau
 from ...study.statistics.scores.metrics import auc_with_interval
 from ..checkpoint import RowCallback, RowCheckpoint
 from . import landmark_figure
@@ -36,13 +37,6 @@ SPREAD_WITHIN = (0.7, 1.4)
 EDGE_LANDMARKS = tuple(name for name in CONTOUR_LANDMARKS if name.endswith("_edge"))
 # Coordinate columns of the landmark table, which has one row per knee.
 _COLUMNS = tuple(f"{name}_{axis}_mm" for name in CONTOUR_LANDMARKS for axis in "xy")
-# Indices of the tibial landmarks.
-_TIBIA = slice(0, 9)
-# Indices of the femoral landmarks.
-_FEMUR = slice(9, 16)
-# Positions at which the minimum joint gap is searched for: distances from the femoral edge as fractions of the femoral
-# width.
-_GAP_FRACTIONS = np.linspace(0.1, 0.3, 81)
 _NAMED_GAP_FRACTIONS = {"0150": 0.15, "0200": 0.2, "0250": 0.25, "0300": 0.3}
 # Key of the random stream for acquisitions; `comparison_run` uses other keys.
 _ACQUISITION_STREAM = 303
@@ -206,37 +200,6 @@ def convert_landmarks_to_mm(landmarks_px: dict[str, tuple[float, float]], side: 
     return np.column_stack((places[:, 1] * medial, -places[:, 0])) * pixel_mm
 
 
-def normalise_to_plateau(places_mm: Array) -> tuple[Array, Array]:
-    """Express landmarks as fractions of the plateau width.
-
-    Parameters
-    ----------
-    places_mm : (n, 16, 2) array
-        Landmarks, x medial and y proximal, in mm.
-
-    Returns
-    -------
-    shares : (n, 16, 2) array
-        Landmarks as fractions of the plateau width.
-    width : (n,) array
-        Plateau width in mm.
-
-    Raises
-    ------
-    InputError
-        The plateau width of a knee is 0.
-    """
-    lateral, medial = (places_mm[:, CONTOUR_LANDMARKS.index(f"tibia_{side}_edge")] for side in ("lateral", "medial"))
-    across = medial - lateral
-    width = np.linalg.norm(across, axis=1)
-    if not (width > 0).all():
-        raise InputError(f"plateau width of landmarks must be above 0 mm, got {width.min():g} mm")
-    along = across / width[:, None]
-    axes = np.stack((along, np.column_stack((-along[:, 1], along[:, 0]))), axis=2)
-    shares = (places_mm - ((lateral + medial) / 2)[:, None]) @ axes / width[:, None, None]
-    return shares, width
-
-
 def measure_joint_sizes(places_mm: Array) -> dict[str, Array]:
     """Measure plateau width, joint gaps and joint-line convergence of each knee.
 
@@ -259,18 +222,16 @@ def measure_joint_sizes(places_mm: Array) -> dict[str, Array]:
     """
     shares, width = normalise_to_plateau(places_mm)
     sizes = {"plateau_width_mm": width}
-    asked = np.concatenate((_GAP_FRACTIONS, list(_NAMED_GAP_FRACTIONS.values())))
+    asked = np.concatenate((GAP_FRACTIONS, list(_NAMED_GAP_FRACTIONS.values())))
     for side in ("medial", "lateral"):
-        gaps = width[:, None] * np.array([_compute_gaps(knee, side, asked) for knee in shares])
-        sizes[f"{side}_gap_least_mm"] = gaps[:, : len(_GAP_FRACTIONS)].min(axis=1)
+        gaps = width[:, None] * np.array([compute_gaps(knee, side, asked) for knee in shares])
+        sizes[f"{side}_gap_least_mm"] = gaps[:, : len(GAP_FRACTIONS)].min(axis=1)
         if side == "medial":
             sizes |= {
                 f"medial_gap_at_{at}_mm": gaps[:, k - len(_NAMED_GAP_FRACTIONS)]
                 for k, at in enumerate(_NAMED_GAP_FRACTIONS)
             }
-    lateral, medial = (shares[:, CONTOUR_LANDMARKS.index(f"femur_{side}_condyle")] for side in ("lateral", "medial"))
-    across = medial - lateral
-    return sizes | {"joint_line_convergence_deg": np.rad2deg(np.arctan2(across[:, 1], across[:, 0]))}
+    return sizes | {"joint_line_convergence_deg": compute_convergence_deg(shares)}
 
 
 def compare_contours(sample: LandmarkSample, reference: LandmarkReference) -> ContourComparison:
@@ -341,14 +302,6 @@ def _compute_gap_auc_rows(sizes: dict[str, Array], grades: np.ndarray, reference
         measured = auc_with_interval(grades[chosen] == grade, narrow[chosen])
         rows.append({"grade": int(grade), "knees": int(chosen.sum()), **measured, **beside})
     return rows
-
-
-def _compute_gaps(landmarks: Array, side: str, fractions: Array) -> Array:
-    """Compute joint gaps (k,) at distances (k,) from the femoral edge of a compartment, as fractions of width."""
-    femur, tibia = landmarks[_FEMUR], landmarks[_TIBIA]
-    width = femur[-1, 0] - femur[0, 0]
-    x = femur[-1, 0] - fractions * width if side == "medial" else femur[0, 0] + fractions * width
-    return np.interp(x, *femur.T) - np.interp(x, *tibia.T)
 
 
 def _compare_landmarks(grade: int, landmarks: Array, reference: GradeLandmarkStatistics) -> list[Row]:
