@@ -95,8 +95,8 @@ def train_landmark_network(
         landmarks=CONTOUR_LANDMARKS,
         masks=BONES,
     )
-    path, seed = folder / LANDMARK_FILE, settings.seed
-    _train_and_export(network, compute_loss, settings, described, path, settings.landmark_steps, seed, report)
+    path, steps = folder / LANDMARK_FILE, settings.landmark_steps
+    _train_and_export(network, compute_loss, settings, described, path, report, steps=steps, seed=settings.seed)
     return network
 
 
@@ -129,8 +129,8 @@ def train_locator(images: TrainingImages, settings: ReaderTrainingSettings, fold
         return compute_edge_loss(net(image)[0], edges)
 
     described = NetworkSettings(crop_px=_LOCATOR_PX, plateau_px=0.0, stride=STRIDE, landmarks=EDGE_CHANNELS, masks=())
-    path, seed = folder / LOCATOR_FILE, settings.seed + 1
-    _train_and_export(network, compute_loss, settings, described, path, settings.locator_steps, seed, report)
+    path, steps = folder / LOCATOR_FILE, settings.locator_steps
+    _train_and_export(network, compute_loss, settings, described, path, report, steps=steps, seed=settings.seed + 1)
     return network
 
 
@@ -140,9 +140,10 @@ def _train_and_export(
     settings: ReaderTrainingSettings,
     described: NetworkSettings,
     path: Path,
+    report: Report,
+    *,
     steps: int,
     seed: int,
-    report: Report,
 ) -> None:
     """Train a network with a checkpoint beside its file, and write it."""
     train_network(
