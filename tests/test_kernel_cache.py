@@ -34,9 +34,12 @@ import importlib, importlib.util, pkgutil, sys
 import pssf
 from numba.core.dispatcher import Dispatcher
 
-needs_missing_extra = {"pssf.torch"} if importlib.util.find_spec("torch") is None else set()
+def is_missing(*extras):
+    return any(importlib.util.find_spec(extra) is None for extra in extras)
+
+skipped = ("pssf.torch",) * is_missing("torch") + ("pssf.reader_training.",) * is_missing("torch", "monai", "kornia")
 for module in pkgutil.walk_packages(pssf.__path__, "pssf."):
-    if not module.name.rpartition(".")[2].startswith("__") and module.name not in needs_missing_extra:
+    if not module.name.rpartition(".")[2].startswith("__") and not module.name.startswith(skipped):
         importlib.import_module(module.name)
 found = {
     id(one): type(one._cache).__name__
