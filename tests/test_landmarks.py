@@ -138,13 +138,13 @@ def test_notch_landmarks_are_at_a_fixed_fraction_of_the_notch_height():
     assert_allclose(landmarks["femur_lateral_condyle"][1], half_way, atol=0.06)
 
 
-def test_edge_landmarks_are_points_where_30_degree_lines_touch_the_bones(built, landmarks, knee):
+def test_edge_landmarks_are_points_where_oblique_lines_touch_the_bones(built, landmarks, knee):
     medial = 1 if knee.side == "right" else -1
-    for bone, up in (("tibia", -1), ("femur", 1)):
+    for bone, up, angles in (("tibia", -1, (30, 30)), ("femur", 1, (40, 50))):
         # The lines are defined along the axes of the leg, not of the image.
         view, lean = resolve_view(REFERENCE), built.assembly.pose.lean_deg * medial
         rows, cols = rotate_px(project_points(find_surface(built, bone).vertices, view), view, -lean).T
-        for side, out in (("medial", medial), ("lateral", -medial)):
+        for (side, out), angle in zip((("medial", medial), ("lateral", -medial)), np.deg2rad(angles), strict=True):
             ((row, col),) = rotate_px(np.array([landmarks[f"{bone}_{side}_edge"]]), view, -lean)
-            steep, flat = up * np.cos(np.deg2rad(30)), out * np.sin(np.deg2rad(30))
+            steep, flat = up * np.cos(angle), out * np.sin(angle)
             assert_allclose(steep * row + flat * col, (steep * rows + flat * cols).max(), atol=1e-6)

@@ -146,6 +146,9 @@ def train_reader(
     ] = 6000,
     locator_steps: Annotated[int, typer.Option(help="Training steps of the network that finds knees.")] = 3000,
     randomisation: Annotated[str, typer.Option(help="Random change of grey values: none, mild or strong.")] = "strong",
+    threads: Annotated[
+        int, typer.Option(help="Number of threads of PyTorch; it changes the last digits of the networks.")
+    ] = 2,
 ) -> None:
     """Train the reader on simulated radiographs, and write its networks.
 
@@ -167,6 +170,7 @@ def train_reader(
         landmark_steps=landmark_steps,
         locator_steps=locator_steps,
         randomisation=randomisation,
+        threads=threads,
     )
     folder = out / "data" if data is None else data
     if data is None:
@@ -177,6 +181,7 @@ def train_reader(
         settings,
         out,
         lambda name, done, of, loss: print(f"{name:<9} {done} of {of} steps, loss {loss:.3f}", flush=True),
+        workers,
     )
     mean = sum(errors.landmark_mm.values()) / len(errors.landmark_mm)
     print(f"errors    landmarks {mean:.2f} mm on simulated radiographs for tests")

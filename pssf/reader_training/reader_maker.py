@@ -194,7 +194,7 @@ def measure_hold_out(network: ReaderUNet, images: TrainingImages, settings: Read
 
 
 def make_reader(
-    data: Path, settings: ReaderTrainingSettings, folder: Path, report: Report
+    data: Path, settings: ReaderTrainingSettings, folder: Path, report: Report, workers: int = 1
 ) -> tuple[HoldOutErrors, ReaderTable]:
     """Train the reader on a data set, and write networks, thresholds and errors.
 
@@ -208,6 +208,8 @@ def make_reader(
         Output folder; an interrupted training continues from its checkpoints.
     report : callable
         Function of the name of the network, finished steps, all steps and mean loss.
+    workers : int, default 1
+        Number of processes that prepare images.
 
     Returns
     -------
@@ -224,7 +226,8 @@ def make_reader(
     make_folder(folder)
     specified = asdict(settings) | {"dataset_sha256": hash_file(data / DATASET_FILE), "pssf": version("pssf")}
     claim_folder(folder / SETTINGS_FILE, specified)
-    images = read_training_images(data, "train")
+    torch.set_num_threads(settings.threads)
+    images = read_training_images(data, "train", workers)
     network = train_landmark_network(images, settings, folder, report)
     train_locator(images, settings, folder, report)
     table = set_thresholds(
@@ -235,6 +238,6 @@ def make_reader(
         settings.seed,
     )
     write_json(folder / TABLE_FILE, msgspec.to_builtins(table))
-    errors = measure_hold_out(network, read_training_images(data, "test"), settings)
+    errors = measure_hold_out(network, read_training_images(data, "test", workers), settings)
     write_json(folder / ERRORS_FILE, asdict(errors))
     return errors, table

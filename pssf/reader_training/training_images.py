@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..core.checks import Array, InputError
+from ..core.processes.parallel_map import map_in_parallel
 from ..dataset.coco_instances import decode_run_lengths
 from ..io.dataset_files import read_pixels, read_sample_labels
 from ..io.dataset_index_files import read_index_table
@@ -53,7 +54,7 @@ class TrainingImages:
     whole_edges_px: NDArray[np.float32]
 
 
-def read_training_images(folder: Path, split: str) -> TrainingImages:
+def read_training_images(folder: Path, split: str, workers: int = 1) -> TrainingImages:
     """Read one subset of a data set and cut a crop in the frame of each knee.
 
     Parameters
@@ -62,6 +63,8 @@ def read_training_images(folder: Path, split: str) -> TrainingImages:
         Folder of a complete data set with images for display.
     split : {"train", "validation", "test"}
         Subset.
+    workers : int, default 1
+        Number of processes.
 
     Returns
     -------
@@ -73,11 +76,9 @@ def read_training_images(folder: Path, split: str) -> TrainingImages:
     InputError
         The folder contains no complete data set, or the subset is empty.
     """
+    names = _list_names(folder, split)
     return collect_training_images(
-        [
-            _prepare(read_pixels(folder, split, "display", name), read_sample_labels(folder, split, name))
-            for name in _list_names(folder, split)
-        ]
+        map_in_parallel(_read_prepared, names, shared={"folder": folder, "split": split}, workers=workers)
     )
 
 
@@ -127,6 +128,11 @@ def collect_training_images(prepared: list[dict[str, Any]]) -> TrainingImages:
         Images of all entries.
     """
     return TrainingImages(**{name: np.array([entry[name] for entry in prepared]) for name in prepared[0]})
+
+
+def _read_prepared(name: str, folder: Path, split: str) -> dict[str, Any]:
+    """Read and prepare one image."""
+    return _prepare(read_pixels(folder, split, "display", name), read_sample_labels(folder, split, name))
 
 
 def _prepare(pixels: NDArray[np.uint8], labels: dict[str, Any]) -> dict[str, Any]:

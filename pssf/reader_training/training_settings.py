@@ -33,6 +33,8 @@ class ReaderTrainingSettings:
         Number of feature maps at the highest resolution.
     randomisation : {"none", "mild", "strong"}, default "strong"
         Recipe for the random change of grey values.
+    threads : int, default 2
+        Number of threads of PyTorch. The number changes the order of sums, and so the last digits of the networks.
     """
 
     images: int = 4000
@@ -45,6 +47,7 @@ class ReaderTrainingSettings:
     plateau_px: float = 112.0
     width: int = 20
     randomisation: str = "strong"
+    threads: int = 2
 
     def __post_init__(self) -> None:
         require_integer("images", self.images, 20, 10_000_000, "")
@@ -56,4 +59,5 @@ class ReaderTrainingSettings:
         require_integer("crop_px", self.crop_px, 64, 1024, "pixels")
         require_in_range("plateau_px", self.plateau_px, 20.0, float(self.crop_px), "pixels")
         require_integer("width", self.width, 4, 256, "")
+        require_integer("threads", self.threads, 1, 1024, "")
         require_choice("randomisation", self.randomisation, RECIPES)
