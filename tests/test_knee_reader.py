@@ -13,6 +13,7 @@ from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from pssf.cli.reader_command import landmarks
 from pssf.core.checks import InputError
 from pssf.data.analysis.landmark_table import load_landmark_reference
+from pssf.io.landmark_files import read_pts, write_pts
 from pssf.io.patients.landmark_annotations import read_landmark_annotations
 from pssf.reader import Reader, load_reader, read
 from pssf.reader.film_overlay import draw_overlay
@@ -419,3 +420,23 @@ def test_one_knee_has_the_side_with_the_higher_score(heights, side):
 def test_knee_whose_edges_are_exchanged_is_not_reported():
     places = [(50.0, 66.0), (50.0, 30.0), (50.0, 30.0), (50.0, 66.0)]
     assert find_knees(np.ones((96, 96), np.float32), locate_fixed(places, (4, 4, -9, -9)), 0.3) == []
+
+
+def test_landmark_file_is_read_as_it_was_written(tmp_path):
+    places = {name: (10.5 + k, 20.25 - k) for k, name in enumerate(CONTOUR_LANDMARKS)}
+    path = write_pts(tmp_path / "a.pts", places)
+    assert read_pts(path, CONTOUR_LANDMARKS) == places
+    with pytest.raises(InputError, match="must have 15 lines of column and row"):
+        read_pts(path, CONTOUR_LANDMARKS[:15])
+
+
+@pytest.mark.parametrize("text", ["", "{\n1 2\n}", "{\na b\n}", "{\n" + "1 nan\n" * 16 + "}"])
+def test_damaged_landmark_file_is_refused(tmp_path, text):
+    (tmp_path / "a.pts").write_text(text)
+    with pytest.raises(InputError, match=r"a\.pts must have"):
+        read_pts(tmp_path / "a.pts", CONTOUR_LANDMARKS)
+
+
+def test_missing_landmark_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"a\.pts must have"):
+        read_pts(tmp_path / "a.pts", CONTOUR_LANDMARKS)

@@ -1,5 +1,7 @@
 """Training of the reader: labels follow the random geometry, and an interrupted training continues exactly."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,16 +9,30 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("monai")
 pytest.importorskip("kornia")
 
+from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS  # noqa: E402
 from pssf.core.checks import InputError  # noqa: E402
-from pssf.reader.networks import decode_heat_maps, load_network  # noqa: E402
-from pssf.reader_training import grey_randomisation, landmark_batches, locator_batches, losses, reader_maker  # noqa: E402
+from pssf.io.landmark_files import write_pts  # noqa: E402
+from pssf.io.patients.patient_list import Film  # noqa: E402
+from pssf.io.pictures import write_image_row  # noqa: E402
+from pssf.reader.networks import NetworkSettings, decode_heat_maps, load_network  # noqa: E402
+from pssf.reader_training import (  # noqa: E402
+    fine_tuning,
+    grey_randomisation,
+    hold_out,
+    landmark_batches,
+    locator_batches,
+    losses,
+    reader_maker,
+    training_images,
+)
+from pssf.reader_training.reader_export import export_network  # noqa: E402
 from pssf.reader_training.training_images import (  # noqa: E402
     STORED_PX,
     STORED_SPAN,
     WHOLE_PX,
     TrainingImages,
 )
-from pssf.reader_training.training_settings import ReaderTrainingSettings  # noqa: E402
+from pssf.reader_training.training_settings import FineTuningSettings, ReaderTrainingSettings  # noqa: E402
 from pssf.reader_training.unet import ReaderUNet, compute_expected_places  # noqa: E402
 
 
@@ -204,9 +220,7 @@ def test_settings_outside_their_range_are_refused(field, value):
 
 @pytest.mark.parametrize("side", ["right", "left"])
 def test_prepared_image_has_masks_and_landmarks_where_the_knee_is(side):
-    from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
     from pssf.dataset.coco_instances import encode_run_lengths
-    from pssf.reader_training import training_images
 
     femur, osteophyte = np.zeros((200, 240), bool), np.zeros((200, 240), bool)
     femur[30:90, 80:160], osteophyte[80:96, 150:175] = True, True
@@ -216,18 +230,15 @@ def test_prepared_image_has_masks_and_landmarks_where_the_knee_is(side):
     landmarks |= {"tibia_lateral_edge": lateral, "tibia_medial_edge": medial}
     names = ("femur", "lateral_femur_osteophyte")
     labels = {
-        "name": "a",
-        "side": side,
-        "pixel_mm": 0.9,
-        "kl": 2,
-        "landmarks_px": landmarks,
         "instances": [
             {"name": name, "segmentation": encode_run_lengths(mask)}
             for name, mask in zip(names, (femur, osteophyte), strict=True)
         ],
     }
     pixels = np.where(femur | osteophyte, 200, 20).astype(np.uint8)
-    made = training_images.collect_training_images([training_images._prepare(pixels, labels)])
+    places = np.array([landmarks[name] for name in CONTOUR_LANDMARKS])
+    masks = training_images._code_masks(labels, pixels.shape)
+    made = training_images.collect_training_images([training_images.prepare_image(pixels, places, masks, side, 0.9)])
     bone, inside = made.coded_masks[0] & 1, made.coded_masks[0] >> 7
     bright = made.crops[0] > 110
     assert (bone.astype(bool) != bright)[inside == 1].mean() < 0.01
@@ -242,3 +253,116 @@ def test_prepared_image_has_masks_and_landmarks_where_the_knee_is(side):
     assert made.whole.shape == (1, WHOLE_PX, WHOLE_PX)
     across = made.whole_edges_px[0, 1] - made.whole_edges_px[0, 0]
     np.testing.assert_allclose(across, (0, 90 * WHOLE_PX / 240), atol=1e-3)
+
+
+@pytest.mark.parametrize("shift_px", [0.0, 2.0])
+def test_hold_out_errors_are_the_shift_of_the_femur(images, shift_px):
+    settings = ReaderTrainingSettings(batch=3)
+    # A knee whose femur is 30 px above its tibia: each landmark is at its own column.
+    places = np.zeros((6, 16, 2), np.float32)
+    places[:, :9] = np.stack((np.full(9, 250), np.linspace(130, 320, 9)), axis=1)
+    places[:, 9:] = np.stack((np.full(7, 220), np.linspace(130, 320, 7)), axis=1)
+    knees = replace(images, landmarks_px=places, coded_masks=images.coded_masks | 0b1111)
+    rows, cols = torch.meshgrid(*[2 * torch.arange(96.0) + 0.5] * 2, indexing="ij")
+    made = landmark_batches.make_landmark_batch(
+        knees, np.arange(6), crop_px=192, plateau_px=settings.plateau_px, randomise_grey=None
+    )
+    down = torch.zeros(16)
+    down[9:] = shift_px
+
+    class Shifted(torch.nn.Module):
+        def forward(self, image):
+            at = made.places_px[: len(image), :, :, None, None]
+            distance = (rows - at[:, :, 0] - down[:, None, None]) ** 2 + (cols - at[:, :, 1]) ** 2
+            return -distance / 18, torch.ones(len(image), 4, 96, 96)
+
+    errors = hold_out.measure_hold_out(Shifted(), knees, settings)
+    mm = 78.0 / settings.plateau_px
+    assert errors.landmark_mm["tibia_lateral_edge"] == pytest.approx(0, abs=0.01)
+    assert errors.landmark_mm["femur_medial_edge"] == pytest.approx(shift_px * mm, abs=0.01)
+    for side in ("medial", "lateral"):
+        assert errors.jsw_bias_mm[side] == pytest.approx(-shift_px * mm, abs=0.01)
+        assert errors.jsw_mae_mm[side] == pytest.approx(shift_px * mm, abs=0.01)
+    assert set(errors.dice.values()) == {1.0}
+
+
+@pytest.fixture(scope="module")
+def small_reader(tmp_path_factory):
+    """Write a reader with random weights, and return its folder."""
+    folder = tmp_path_factory.mktemp("reader")
+    torch.manual_seed(0)
+    network = ReaderUNet(16, 4, 8)
+    # Statistics of the normalisation layers, as after a training.
+    network(torch.randn(4, 1, 64, 64))
+    described = NetworkSettings(
+        crop_px=64, plateau_px=36.0, stride=2, landmarks=CONTOUR_LANDMARKS, masks=training_images.BONES
+    )
+    export_network(network, described, folder / "landmarks.onnx")
+    for name in ("locator.onnx", "reader.json"):
+        (folder / name).write_bytes(b"unchanged")
+    return folder
+
+
+def test_loaded_network_gives_the_logits_of_its_file(small_reader):
+    present = load_network(small_reader / "landmarks.onnx")
+    network = fine_tuning.load_exported_network(small_reader / "landmarks.onnx", present)
+    image = np.random.default_rng(0).normal(size=(64, 64)).astype(np.float32)
+    with torch.no_grad():
+        made = network(torch.from_numpy(image)[None, None])
+    for ours, theirs in zip(made, present.run(image), strict=True):
+        np.testing.assert_allclose(ours[0].numpy(), theirs, atol=2e-4 * np.abs(theirs).max())
+
+
+@pytest.fixture
+def annotated(tmp_path):
+    """Write seven radiographs with a landmark file each, in which the landmarks are bright spots."""
+    rng = np.random.default_rng(3)
+    listed = []
+    for number in range(7):
+        columns = np.r_[np.linspace(60, 140, 9), np.linspace(62, 138, 7)]
+        places = np.column_stack((np.r_[np.full(9, 110.0), np.full(7, 90.0)], columns)) + rng.normal(0, 2, (16, 2))
+        rows, cols = np.indices((200, 200))
+        grey = sum(200 * np.exp(-((rows - row) ** 2 + (cols - col) ** 2) / 8) for row, col in places)
+        write_image_row([np.clip(grey, 0, 255).astype(np.uint8)], tmp_path / f"{number}R.png")
+        write_pts(
+            tmp_path / "points" / f"{number}R_right.pts",
+            {name: tuple(place) for name, place in zip(CONTOUR_LANDMARKS, places, strict=True)},
+        )
+        listed.append(
+            Film(
+                file=str(tmp_path / f"{number}R.png"), grade=None, subject=str(number), side="right", pixel_mm=None,
+                sha256="",
+            )
+        )  # fmt: skip
+    return listed, tmp_path / "points"
+
+
+def test_fine_tuning_reduces_the_error_and_repeats_to_the_byte(small_reader, annotated, tmp_path):
+    settings = FineTuningSettings(steps=12, batch=4, learning_rate=0.004, threads=1)
+    made = [
+        fine_tuning.fine_tune_reader(*annotated, small_reader, settings, tmp_path / name, lambda *_: None)
+        for name in "ab"
+    ]
+    assert made[0] == made[1]
+    assert made[0].knees == 1
+    assert made[0].after < made[0].before
+    files = [(tmp_path / name / "landmarks.onnx").read_bytes() for name in "ab"]
+    assert files[0] == files[1] != (small_reader / "landmarks.onnx").read_bytes()
+    assert (tmp_path / "a" / "reader.json").read_bytes() == b"unchanged"
+    assert load_network(tmp_path / "a" / "landmarks.onnx").settings.plateau_px == 36.0
+
+
+def test_fine_tuning_without_annotations_or_subjects_is_refused(small_reader, annotated, tmp_path):
+    listed, points = annotated
+    for films, folder, message in ((listed[:4], points, "at least 5 subjects, got 4"), (listed, tmp_path, "got none")):
+        with pytest.raises(InputError, match=message):
+            fine_tuning.fine_tune_reader(
+                films, folder, small_reader, FineTuningSettings(threads=1), tmp_path / "x", lambda *_: None
+            )
+
+
+def test_subjects_are_kept_with_all_their_knees():
+    subjects = [str(number // 2) for number in range(20)]
+    kept = fine_tuning.choose_kept_subjects(subjects, seed=1)
+    assert kept.sum() == 4
+    assert (kept[::2] == kept[1::2]).all()

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from ..io.patients.landmark_annotations import LandmarkAnnotation
     from ..io.patients.patient_radiographs import Film
     from ..reader import KneeReading, Reader
+    from ..reader_training.training_settings import FineTuningSettings
 
 Networks = Annotated[
     Path | None, typer.Option(help="Folder with networks made by pssf train-reader; default: those of the package.")
@@ -149,10 +150,21 @@ def train_reader(
     threads: Annotated[
         int, typer.Option(help="Number of threads of PyTorch; it changes the last digits of the networks.")
     ] = 2,
+    finetune: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of your radiographs and their landmark files points/NAME_right.pts or NAME_left.pts, as pssf "
+            "landmarks writes them; continues the training of --networks on them instead of training a new reader."
+        ),
+    ] = None,
+    finetune_steps: Annotated[int, typer.Option(help="Training steps of --finetune.")] = 600,
+    networks: Networks = None,
 ) -> None:
     """Train the reader on simulated radiographs, and write its networks.
 
-    Requires the extra train. An interrupted run continues where it stopped, with the same options.
+    With --finetune, the training of an existing reader continues on your own annotated radiographs; one subject in five
+    is kept to measure the error before and after. Requires the extra train. An interrupted run continues where it
+    stopped, with the same options.
     """
     from ..core.checks import InputError, require_workers
     from ..dataset import DatasetSettings
@@ -161,9 +173,12 @@ def train_reader(
     require_workers(workers, "processes")
     try:
         from ..reader_training.reader_maker import make_reader
-        from ..reader_training.training_settings import ReaderTrainingSettings
+        from ..reader_training.training_settings import FineTuningSettings, ReaderTrainingSettings
     except ModuleNotFoundError as error:
         raise InputError(f"train-reader needs {error.name}: pip install 'pssf[train]'") from error
+    if finetune is not None:
+        _fine_tune(finetune, networks, FineTuningSettings(seed=seed, steps=finetune_steps, threads=threads), out)
+        return
     settings = ReaderTrainingSettings(
         images=images,
         seed=seed,
@@ -180,9 +195,35 @@ def train_reader(
         folder,
         settings,
         out,
-        lambda name, done, of, loss: print(f"{name:<9} {done} of {of} steps, loss {loss:.3f}", flush=True),
+        _print_progress,
         workers,
     )
     mean = sum(errors.landmark_mm.values()) / len(errors.landmark_mm)
     print(f"errors    landmarks {mean:.2f} mm on simulated radiographs for tests")
+    print(f"          joint space {_list_values(errors.jsw_mae_mm, ' mm')} (mean absolute error)")
+    print(f"masks     Dice {_list_values(errors.dice)}")
     print(f"networks  {out}")
+
+
+def _fine_tune(films: Path, networks: Path | None, settings: "FineTuningSettings", out: Path) -> None:
+    """Continue the training of a reader on annotated radiographs."""
+    from ..reader.reader_table import PACKAGE_FOLDER
+    from ..reader_training.fine_tuning import POINTS_FOLDER, fine_tune_reader
+
+    listed = collect_films(films, "", 0.0)
+    errors = fine_tune_reader(listed, films / POINTS_FOLDER, networks or PACKAGE_FOLDER, settings, out, _print_progress)
+    print(
+        f"errors    {errors.before:.2f} % of the plateau width before, {errors.after:.2f} % after, "
+        f"on {errors.knees} knees that were not used"
+    )
+    print(f"networks  {out}")
+
+
+def _print_progress(name: str, done: int, of: int, loss: float) -> None:
+    """Print the progress of a training."""
+    print(f"{name:<9} {done} of {of} steps, loss {loss:.3f}", flush=True)
+
+
+def _list_values(values: dict[str, float], unit: str = "") -> str:
+    """Return named values as text."""
+    return ", ".join(f"{name} {value:.2f}{unit}" for name, value in values.items())

@@ -95,6 +95,28 @@ def write_bytes(path: Path, content: bytes) -> None:
         temporary.write_bytes(content)
 
 
+def copy_file(source: Path, path: Path) -> None:
+    """Copy a file.
+
+    Parameters
+    ----------
+    source : Path
+        File to copy.
+    path : Path
+        The copy.
+
+    Raises
+    ------
+    InputError
+        If `source` cannot be read or `path` cannot be written.
+    """
+    try:
+        content = source.read_bytes()
+    except OSError as error:
+        raise InputError(f"file {source} cannot be read, got {error.strerror or error}") from None
+    write_bytes(path, content)
+
+
 def delete_own_temporary_files() -> None:
     """Delete all temporary files of the current process before the process is terminated."""
     for name in list(_own_temporary_files):

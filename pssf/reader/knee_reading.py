@@ -15,7 +15,7 @@ from ..io.patients.patient_list import PIXEL_MM_RANGE
 from .joint_measures import JointMeasures, measure_joint
 from .knee_finder import KneeCandidate, find_knees
 from .knee_frame import PLATEAU_EDGES, Grey, KneeFrame, fit_frame, fit_similarity, normalise_grey
-from .networks import DecodedHeatMaps, Network, decode_heat_maps, load_network
+from .networks import DecodedHeatMaps, Network, NetworkSettings, decode_heat_maps, load_network
 from .reader_table import PACKAGE_FOLDER, ReaderTable, load_reader_table
 
 LOCATOR_FILE = "locator.onnx"
@@ -184,7 +184,7 @@ def _read_knee(image: Grey, knee: KneeCandidate, pixel_mm: float | None, reader:
         angle_deg=float(np.rad2deg(frame.angle_rad)),
         landmarks_px=_name(places),
         confidence=dict(zip(CONTOUR_LANDMARKS, decoded.mass.tolist(), strict=True)),
-        masks=_draw_masks(logits, settings.masks, read_in, reader.landmarks, image.shape),
+        masks=draw_masks(logits, read_in, settings, image.shape),
         measures=measure_joint(places, frame.side),
         pixel_mm=pixel_mm,
         score=knee.score,
@@ -234,17 +234,33 @@ def _find_refusal(knee: KneeCandidate, decoded: DecodedHeatMaps, residual: float
     return ""
 
 
-def _draw_masks(
-    logits: Grey, names: Sequence[str], frame: KneeFrame, network: Network, shape: tuple[int, ...]
+def draw_masks(
+    logits: Grey, frame: KneeFrame, settings: NetworkSettings, shape: tuple[int, ...]
 ) -> dict[str, NDArray[np.bool_]]:
-    """Map the masks of a crop to the image."""
-    settings = network.settings
+    """Map the masks of a crop to the image.
+
+    Parameters
+    ----------
+    logits : (masks, rows, cols) float32 array
+        Logits of each mask in the crop.
+    frame : KneeFrame
+        Frame of the crop.
+    settings : NetworkSettings
+        Settings of the network.
+    shape : tuple of int
+        Rows and columns of the image.
+
+    Returns
+    -------
+    dict of str to (rows, cols) bool array
+        Mask of each bone.
+    """
     box = frame.find_box(shape, settings.plateau_px, settings.crop_px)
     points = np.moveaxis(np.mgrid[box].astype(float), 0, -1)
     places = frame.map_to_crop(points, settings.plateau_px, settings.crop_px)
     # With pixel unshuffling, pixel k of the output covers pixels stride k to stride k + stride - 1 of the crop.
     at = np.moveaxis((places - (settings.stride - 1) / 2) / settings.stride, -1, 0)
-    masks = {name: np.zeros(shape, bool) for name in names}
+    masks = {name: np.zeros(shape, bool) for name in settings.masks}
     for mask, values in zip(masks.values(), logits, strict=True):
         mask[box] = ndimage.map_coordinates(values, at, order=1, mode="constant", cval=-1.0) > 0
     return masks

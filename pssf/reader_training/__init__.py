@@ -10,5 +10,7 @@ losses              losses
 training_loop       training with checkpoints
 reader_export       networks in ONNX format
 reader_thresholds   mean shape, and thresholds from simulations that are wrong on purpose
-reader_maker        both trainings, and errors on simulations
+hold_out            errors on simulated radiographs that were not used for training
+reader_maker        both trainings
+fine_tuning         training on annotated radiographs
 """

@@ -1,7 +1,7 @@
 """Train both networks of the reader on a simulated data set, and write them as ONNX."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from ..reader.knee_reading import LANDMARK_FILE, LOCATOR_FILE
 from ..reader.networks import NetworkSettings, load_network
 from ..reader.reader_table import TABLE_FILE, ReaderTable
 from .grey_randomisation import build_grey_randomisation
+from .hold_out import HoldOutErrors, measure_hold_out
 from .landmark_batches import make_landmark_batch
 from .locator_batches import EDGE_CHANNELS, make_locator_batch
 from .losses import compute_edge_loss, compute_landmark_loss
@@ -26,7 +27,7 @@ from .reader_thresholds import set_thresholds
 from .training_images import BONES, TrainingImages, read_displays, read_training_images
 from .training_loop import ComputeLoss, train_network
 from .training_settings import ReaderTrainingSettings
-from .unet import STRIDE, ReaderUNet, compute_expected_places
+from .unet import STRIDE, ReaderUNet
 
 SETTINGS_FILE = "training.json"
 ERRORS_FILE = "errors.json"
@@ -37,22 +38,6 @@ _LOCATOR_WIDTH = 12
 _LOCATOR_BIAS = -0.4
 
 Report = Callable[[str, int, int, float], None]
-
-
-@dataclass(frozen=True, kw_only=True)
-class HoldOutErrors:
-    """Errors of the landmark network on simulated radiographs that were not used for training.
-
-    Attributes
-    ----------
-    landmark_mm : dict of str to float
-        Mean distance of each landmark, in mm on the detector.
-    dice : dict of str to float
-        Mean Dice coefficient of each bone mask.
-    """
-
-    landmark_mm: dict[str, float]
-    dice: dict[str, float]
 
 
 def train_landmark_network(
@@ -156,41 +141,6 @@ def _train_and_export(
         report=lambda done, of, loss: report(path.stem, done, of, loss),
     )
     export_network(network, described, path)
-
-
-def measure_hold_out(network: ReaderUNet, images: TrainingImages, settings: ReaderTrainingSettings) -> HoldOutErrors:
-    """Measure the errors of the landmark network in the exact frames of simulated knees.
-
-    Parameters
-    ----------
-    network : ReaderUNet
-        Trained network.
-    images : TrainingImages
-        Images that were not used for training.
-    settings : ReaderTrainingSettings
-        Settings of the training.
-
-    Returns
-    -------
-    HoldOutErrors
-        Errors of landmarks and masks.
-    """
-    distances, overlaps = [], []
-    for chosen in np.array_split(np.arange(len(images.crops)), -(-len(images.crops) // settings.batch)):
-        made = make_landmark_batch(
-            images, chosen, crop_px=settings.crop_px, plateau_px=settings.plateau_px, randomise_grey=None
-        )
-        with torch.no_grad():
-            heat_maps, masks = network(made.image)
-        mm = images.plateau_mm[chosen] / settings.plateau_px
-        distances.append((compute_expected_places(heat_maps) - made.places_px).norm(dim=2).numpy() * mm[:, None])
-        drawn, truth = ((values > level) & (made.inside > 0) for values, level in ((masks, 0.0), (made.bones, 0.5)))
-        overlaps.append((2 * (drawn & truth).sum(dim=(2, 3)) / (drawn.sum(dim=(2, 3)) + truth.sum(dim=(2, 3)))).numpy())
-    landmark_mm, dice = np.concatenate(distances).mean(axis=0), np.nanmean(np.concatenate(overlaps), axis=0)
-    return HoldOutErrors(
-        landmark_mm=dict(zip(CONTOUR_LANDMARKS, landmark_mm.tolist(), strict=True)),
-        dice=dict(zip(BONES, dice.tolist(), strict=True)),
-    )
 
 
 def make_reader(

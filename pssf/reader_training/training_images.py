@@ -120,7 +120,7 @@ def collect_training_images(prepared: list[dict[str, Any]]) -> TrainingImages:
     Parameters
     ----------
     prepared : list of dict
-        Results of `_prepare`.
+        Results of `prepare_image`.
 
     Returns
     -------
@@ -132,27 +132,47 @@ def collect_training_images(prepared: list[dict[str, Any]]) -> TrainingImages:
 
 def _read_prepared(name: str, folder: Path, split: str) -> dict[str, Any]:
     """Read and prepare one image."""
-    return _prepare(read_pixels(folder, split, "display", name), read_sample_labels(folder, split, name))
-
-
-def _prepare(pixels: NDArray[np.uint8], labels: dict[str, Any]) -> dict[str, Any]:
-    """Cut the crop of one image and reduce the whole image."""
-    side = labels["side"]
+    pixels, labels = read_pixels(folder, split, "display", name), read_sample_labels(folder, split, name)
     landmarks = np.array([labels["landmarks_px"][name] for name in CONTOUR_LANDMARKS])
-    edges = landmarks[PLATEAU_EDGES]
+    return prepare_image(pixels, landmarks, _code_masks(labels, pixels.shape), labels["side"], labels["pixel_mm"])
+
+
+def prepare_image(
+    pixels: NDArray[np.uint8], landmarks_px: Array, masks: NDArray[np.uint8], side: str, pixel_mm: float
+) -> dict[str, Any]:
+    """Cut the crop of one image and reduce the whole image.
+
+    Parameters
+    ----------
+    pixels : (rows, cols) uint8 array
+        Grey values.
+    landmarks_px : (16, 2) array
+        Row and column of each landmark, in pixels.
+    masks : (rows, cols) uint8 array
+        Bit k is the mask of ``BONES[k]``.
+    side : {"right", "left"}
+        Side of the knee.
+    pixel_mm : float
+        Pixel size, in mm.
+
+    Returns
+    -------
+    dict of str to array
+        Attributes of `TrainingImages` for this image.
+    """
+    edges = landmarks_px[PLATEAU_EDGES]
     frame = fit_frame(edges, side)
     grey, inside = frame.cut_crop(pixels.astype(np.float32), STORED_PLATEAU_PX, STORED_PX)
     points = np.moveaxis(np.indices((STORED_PX, STORED_PX), float), 0, -1)
     nearest = frame.map_to_image(points, STORED_PLATEAU_PX, STORED_PX)
     rows, cols = np.moveaxis(np.rint(nearest).astype(int), -1, 0)
-    masks = _code_masks(labels, pixels.shape)
     coded = np.where(inside, masks[rows.clip(0, len(masks) - 1), cols.clip(0, masks.shape[1] - 1)] | (1 << 7), 0)
     whole, whole_edges = _reduce(pixels, edges, side)
     return {
         "crops": np.clip(np.rint(grey), 0, 255).astype(np.uint8),
         "coded_masks": coded.astype(np.uint8),
-        "landmarks_px": frame.map_to_crop(landmarks, STORED_PLATEAU_PX, STORED_PX).astype(np.float32),
-        "plateau_mm": np.float32(frame.width_px * labels["pixel_mm"]),
+        "landmarks_px": frame.map_to_crop(landmarks_px, STORED_PLATEAU_PX, STORED_PX).astype(np.float32),
+        "plateau_mm": np.float32(frame.width_px * pixel_mm),
         "whole": whole,
         "whole_edges_px": whole_edges.astype(np.float32),
     }

@@ -61,3 +61,39 @@ class ReaderTrainingSettings:
         require_integer("width", self.width, 4, 256, "")
         require_integer("threads", self.threads, 1, 1024, "")
         require_choice("randomisation", self.randomisation, RECIPES)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FineTuningSettings:
+    """Settings for the training of the landmark network on annotated radiographs.
+
+    Parameters
+    ----------
+    seed : int, default 0
+        Seed of all random numbers.
+    steps : int, default 600
+        Number of training steps.
+    batch : int, default 8
+        Number of knees per step.
+    learning_rate : float, default 0.0005
+        Largest learning rate.
+    randomisation : {"none", "mild", "strong"}, default "mild"
+        Recipe for the random change of grey values.
+    threads : int, default 2
+        Number of threads of PyTorch.
+    """
+
+    seed: int = 0
+    steps: int = 600
+    batch: int = 8
+    learning_rate: float = 5e-4
+    randomisation: str = "mild"
+    threads: int = 2
+
+    def __post_init__(self) -> None:
+        require_integer("seed", self.seed, 0, 2**63 - 1, "")
+        require_integer("steps", self.steps, 1, 10_000_000, "")
+        require_integer("batch", self.batch, 2, 1024, "")
+        require_in_range("learning_rate", self.learning_rate, 1e-6, 1.0, "")
+        require_choice("randomisation", self.randomisation, RECIPES)
+        require_integer("threads", self.threads, 1, 1024, "")
