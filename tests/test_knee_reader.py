@@ -2,6 +2,7 @@
 
 import csv
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from pssf.core.checks import InputError
 from pssf.data.analysis.landmark_table import load_landmark_reference
 from pssf.io.landmark_files import read_pts, write_pts
 from pssf.io.patients.landmark_annotations import read_landmark_annotations
+from pssf.radiomics.localisation.region_placement import find_polarity, locate_joint_by_reader, locate_region
 from pssf.reader import Reader, load_reader, read
 from pssf.reader.film_overlay import draw_overlay
 from pssf.reader.joint_measures import measure_joint
@@ -440,3 +442,72 @@ def test_damaged_landmark_file_is_refused(tmp_path, text):
 def test_missing_landmark_file_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"a\.pts must have"):
         read_pts(tmp_path / "a.pts", CONTOUR_LANDMARKS)
+
+
+def make_template(plateau_mm=72.0):
+    """Return a template of which only the plateau width matters."""
+    return SimpleNamespace(plateau_mm=plateau_mm, known_plateau_mm=plateau_mm)
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+def test_region_of_the_reader_is_at_the_medial_joint_line(side):
+    frame = KneeFrame(centre_px=(150.0, 210.0), width_px=120.0, angle_rad=0.1, side=side)
+    joint = locate_joint_by_reader(draw_film(frame), make_template(), side=side, pixel_mm=0.6, reader=make_reader())
+    assert (joint.status, joint.side, joint.pixel_mm_source) == ("found", side, "given")
+    places = dict(zip(CONTOUR_LANDMARKS, place_landmarks(frame), strict=True))
+    middle = (places["femur_medial_condyle"] + places["tibia_medial_1"]) / 2
+    # The offset from the middle of the landmarks points towards the lateral side, along the plateau.
+    offset = np.array([joint.row, joint.col]) - middle
+    lateral = places["tibia_lateral_edge"] - places["tibia_medial_edge"]
+    along = offset @ lateral / np.linalg.norm(lateral) / 120
+    assert along == pytest.approx(0.0335, abs=0.002)
+    assert joint.scale == pytest.approx(1.0, abs=0.01)
+
+
+def test_unknown_pixel_size_follows_from_the_plateau():
+    frame = KneeFrame(centre_px=(150.0, 210.0), width_px=120.0, angle_rad=0.0, side="left")
+    joint = locate_joint_by_reader(
+        draw_film(frame), make_template(60.0), side=None, pixel_mm=None, reader=make_reader()
+    )
+    assert (joint.side, joint.pixel_mm_source) == ("left", "plateau")
+    assert joint.pixel_mm == pytest.approx(0.5, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("status", "side", "region_px", "thresholds"),
+    [
+        ("no knee", "right", 1, {"min_score": 1.1}),
+        ("wrong side", "left", 1, {}),
+        ("low score", "right", 1, {"min_sure_score": 1.1}),
+        ("leaves image", "right", 320, {}),
+    ],
+)
+def test_region_of_the_reader_is_rejected_for_a_reason(status, side, region_px, thresholds):
+    frame = KneeFrame(centre_px=(150.0, 210.0), width_px=120.0, angle_rad=0.0, side="right")
+    joint = locate_joint_by_reader(
+        draw_film(frame),
+        make_template(),
+        side=side,
+        pixel_mm=0.6,
+        region_px=region_px,
+        reader=make_reader(**thresholds),
+    )
+    assert joint.status == status
+    assert np.isnan(joint.row) == (status == "no knee")
+
+
+def test_polarity_is_that_of_the_bones():
+    frame = KneeFrame(centre_px=(150.0, 210.0), width_px=120.0, angle_rad=0.0, side="right")
+    (knee,) = read(draw_film(frame), reader=make_reader())
+    bones = knee.masks["femur"] | knee.masks["tibia"]
+    assert find_polarity(np.where(bones, 3.0, 1.0), knee) == "bone bright"
+    assert find_polarity(np.where(bones, 1.0, 3.0), knee) == "bone dark"
+
+
+def test_region_of_the_truth_is_at_the_label():
+    chosen = {"templates": (), "table": None, "side": "left", "pixel_mm": 0.3, "regions": "truth"}
+    joint = locate_region(np.ones((80, 90)), region_px=40, place_px=(30.25, 50.5), **chosen)
+    assert (joint.status, joint.row, joint.col, joint.side) == ("found", 30.25, 50.5, "left")
+    assert locate_region(np.ones((80, 90)), region_px=70, place_px=(30.25, 50.5), **chosen).status == "leaves image"
+    with pytest.raises(InputError, match="no true position"):
+        locate_region(np.ones((80, 90)), region_px=40, place_px=None, **chosen)

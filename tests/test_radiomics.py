@@ -1,5 +1,6 @@
 """Check regions of interest, bone masks and features of a region."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -244,6 +245,18 @@ def test_a_rejected_match_has_a_location_but_no_features():
     assert record["status"] == "leaves image"
     assert abs(record["row_px"] - 150) < 2
     assert not any(name.startswith("glcm") for name in record)
+
+
+def test_a_region_of_the_truth_is_measured_at_its_place():
+    job = replace(make_jobs(1)[0], place_px=(140.0, 155.0))
+    how = ExtractionSettings(region_px=100, regions="truth", families=("firstorder",))
+    (record,), _ = measure_radiographs(
+        [job], load_pixels=load_phantom, templates=[TEMPLATE], tables=TABLES, settings=how
+    )
+    assert (record["status"], record["row_px"], record["col_px"]) == ("found", 140.0, 155.0)
+    region = cut_region(load_phantom(job.file), 140.0, 155.0, 100)
+    expected = extract_features(region, PIXEL_MM, TAGS, how.bins, how.families, how.backend)
+    assert {name: record[name] for name in expected} == expected
 
 
 def test_z_scored_first_order_features_have_mean_0_and_variance_1():

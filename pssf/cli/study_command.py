@@ -65,6 +65,13 @@ def study(
         ),
     ] = "",
     matrix: Matrix = 0,
+    regions: Annotated[
+        str,
+        typer.Option(
+            help="Source of the position of the regions: template (search), reader (landmarks of pssf.read) or truth "
+            "(labels; patient radiographs then use the reader)."
+        ),
+    ] = "template",
     films: Annotated[
         Path | None,
         typer.Option(

@@ -13,6 +13,7 @@ localisation
   second_knee             detection of the other knee on the same radiograph
   crop_template           cropping of templates to the area that localisation uses
   region_of_interest      square region around the medial joint line
+  region_placement        position of the region by the reader, or by the true labels
 features
   feature_extraction      measurement of the features of a region
   feature_table           measurement of many radiographs, with one feature record per radiograph

@@ -17,6 +17,7 @@ from skimage.exposure import match_histograms
 from ..core.checks import (
     Array,
     InputError,
+    require_choice,
     require_in_range,
     require_integer,
 )
@@ -38,10 +39,10 @@ from .features.feature_table import (
 from .localisation.joint_localisation import (
     JointLocation,
     locate_joint,
-    locate_joint_in_radiograph,
     scale_to_full_resolution,
 )
 from .localisation.pixel_aspect import locate_joint_in_film, resample_to_square_pixels
+from .localisation.region_placement import locate_joint_by_reader, locate_region
 from .localisation.second_knee import has_second_knee
 from .localisation.templates import MAX_SEARCH_PIXEL_MM, Template, compute_density
 from .radiomics_tables import RadiomicsTables
@@ -84,6 +85,8 @@ class DisplayExtractionSettings:
         curve.
     backend : str
         Feature library, "pyradiomics" or "mirp". The default is pyradiomics if it is installed, else MIRP.
+    regions : {"template", "reader"}
+        Source of the position of the region.
 
     Raises
     ------
@@ -96,11 +99,13 @@ class DisplayExtractionSettings:
     bins: int = 64
     families: tuple[str, ...] = TONE_INVARIANT_FAMILIES
     backend: str = field(default_factory=default_backend)
+    regions: str = "template"
 
     def __post_init__(self) -> None:
-        """Check the ranges of pixel size and region size."""
+        """Check the ranges of pixel size and region size, and the source of the position."""
         require_in_range("pixel_mm of films", self.pixel_mm, 0.02, 20, "mm")
         require_integer("region_px at pixel_mm of films", self.region_px, 16, 4096, "pixels")
+        require_choice("regions of films", self.regions, ("template", "reader"))
 
 
 def require_plateau_width(templates: Sequence[Template]) -> None:
@@ -170,7 +175,11 @@ def measure_display(
         film = load_pixels(job.file)
         refused = "no knee"  # If localisation raises InputError, the image is too small for a search.
         side, pixel_mm = job.side or film.side, job.pixel_mm or film.pixel_mm
-        joint = locate_joint_in_display(film.pixels, templates, tables.localisation, side, pixel_mm)
+        joint = (
+            locate_joint_by_reader(film.pixels, templates[0], side=side, pixel_mm=pixel_mm)
+            if settings.regions == "reader"
+            else locate_joint_in_display(film.pixels, templates, tables.localisation, side, pixel_mm)
+        )
     except InputError:
         nothing: Record = {"radiograph": job.radiograph, "sha256": job.sha256, "status": refused}
         return nothing | dict.fromkeys(FILM_COLUMNS, ""), {"localisation": perf_counter() - began, "features": 0.0}
@@ -236,9 +245,8 @@ def measure_linear(
     assert job.side is not None
     assert job.pixel_mm is not None
     if np.isclose(job.pixel_mm, settings.pixel_mm, rtol=1e-6):
-        plain = ExtractionSettings(
-            region_px=settings.region_px, bins=settings.bins, families=settings.families, backend=settings.backend
-        )
+        same = {name: value for name, value in vars(settings).items() if name != "pixel_mm"}
+        plain = ExtractionSettings(**same)
         record, seconds = measure_radiograph(
             job, load_pixels=load_pixels, templates=templates, settings=plain, tables=tables, code=code
         )
@@ -249,8 +257,15 @@ def measure_linear(
         }, seconds
     began = perf_counter()
     pixels = load_pixels(job.file)
-    joint = locate_joint_in_radiograph(
-        pixels, templates, tables.localisation, side=job.side, pixel_mm=job.pixel_mm, region_px=1
+    joint = locate_region(
+        pixels,
+        templates,
+        tables.localisation,
+        regions=settings.regions,
+        side=job.side,
+        pixel_mm=job.pixel_mm,
+        region_px=1,
+        place_px=None,
     )
     located = perf_counter()
     region = (

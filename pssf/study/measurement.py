@@ -1,5 +1,6 @@
 """First stage of a study: locate the joint region of each radiograph and measure its features."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -204,17 +205,18 @@ def _measure_records(
     known: dict[str, Record] = {}
     if earlier is not None and "sha256" in earlier:
         known = {row["sha256"]: row for row in earlier.to_dict("records")}
-    columns = ("radiograph", "file", "sha256", "side", "pixel_mm")
-    jobs = [
-        MeasurementJob(**{name: row[name] for name in columns}) for row in radiographs[list(columns)].to_dict("records")
-    ]
+    jobs = _make_jobs(radiographs, with_truth=settings.regions == "truth")
     records, work = measure_radiographs(
         jobs,
         load_pixels=run.load_pixels,
         templates=run.templates,
         tables=run.tables.radiomics,
         settings=ExtractionSettings(
-            region_px=region_px, bins=settings.bins, families=settings.families, backend=settings.backend
+            region_px=region_px,
+            bins=settings.bins,
+            families=settings.families,
+            backend=settings.backend,
+            regions=settings.regions,
         ),
         execution=run.execution,
         known_records=known,
@@ -222,3 +224,16 @@ def _measure_records(
         stage_name=stage,
     )
     return pd.DataFrame(records).drop(columns="sha256"), work
+
+
+def _make_jobs(radiographs: pd.DataFrame, with_truth: bool) -> list[MeasurementJob]:
+    """Make one measurement job per radiograph, with the true medial joint line if it is used."""
+    columns = ["radiograph", "file", "sha256", "side", "pixel_mm"]
+    truth = ["truth_medial_row_px", "truth_medial_col_px"]
+    jobs = [MeasurementJob(**row) for row in radiographs[columns].to_dict("records")]
+    if not with_truth:
+        return jobs
+    return [
+        replace(job, place_px=(float(row), float(col)))
+        for job, (row, col) in zip(jobs, radiographs[truth].to_numpy(), strict=True)
+    ]

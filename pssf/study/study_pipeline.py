@@ -189,6 +189,7 @@ def _pack_models(study: StudyData) -> dict[str, bytes]:
             grade_names=class_names(kept.task),
             families=settings.families,
             backend=settings.backend,
+            regions=settings.film_regions,
             bins=settings.bins,
             pixel_mm=pixel_mm,
             region_px=settings.region_px,

@@ -15,8 +15,8 @@ from ...core.processes.execution import Execution
 from ...core.processes.parallel_map import map_in_parallel
 from ...core.stage_timer import make_interval_check
 from ...data.code_hash import compute_code_hashes, require_same_code
-from ..localisation.joint_localisation import locate_joint_in_radiograph
 from ..localisation.region_of_interest import cut_region
+from ..localisation.region_placement import hash_reader, locate_region
 from ..localisation.templates import Template
 from ..radiomics_tables import RadiomicsTables
 from .feature_backends import BACKENDS, default_backend
@@ -32,7 +32,7 @@ TEXT_COLUMNS = ("radiograph", "sha256", "settings", "checksum", "status", *FILM_
 SCORE_COLUMNS = ("score", "compartment_score", "side_margin", "orientation_margin", "scale")
 NON_FEATURE_COLUMNS = (*TEXT_COLUMNS, "row_px", "col_px", "film_pixel_mm", *SCORE_COLUMNS)
 # Subpackages whose code and tables affect feature records. Their hashes are included in the settings hash.
-_CODE_PACKAGES = ("core", "data", "detector", "io", "radiomics")
+_CODE_PACKAGES = ("core", "data", "detector", "io", "radiomics", "reader")
 _LIBRARIES = ("numpy", "scikit-image", "scipy")
 # Minimum time between two calls of `save` by `measure_radiographs`, in seconds.
 SAVE_INTERVAL_S = 10
@@ -54,6 +54,8 @@ class MeasurementJob:
         Left or right knee; None only for a patient radiograph of unknown side.
     pixel_mm : float or None
         Pixel size, in mm; None only for a patient radiograph of unknown pixel size.
+    place_px : (row, column) tuple or None, default None
+        True position of the medial joint line, in pixels; None if unknown or not used.
     """
 
     radiograph: str
@@ -61,6 +63,7 @@ class MeasurementJob:
     sha256: str
     side: str | None
     pixel_mm: float | None
+    place_px: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,12 +80,15 @@ class ExtractionSettings:
         Feature families to measure.
     backend : str
         Feature library, "pyradiomics" or "mirp". The default is pyradiomics if it is installed, else MIRP.
+    regions : {"template", "reader", "truth"}
+        Source of the position of the region.
     """
 
     region_px: int = 512
     bins: int = 64
     families: tuple[str, ...] = FAMILIES
     backend: str = field(default_factory=default_backend)
+    regions: str = "template"
 
 
 def measure_radiographs(
@@ -219,8 +225,15 @@ def measure_radiograph(
     assert job.pixel_mm is not None
     began = perf_counter()
     pixels = load_pixels(job.file)
-    joint = locate_joint_in_radiograph(
-        pixels, templates, tables.localisation, side=job.side, pixel_mm=job.pixel_mm, region_px=settings.region_px
+    joint = locate_region(
+        pixels,
+        templates,
+        tables.localisation,
+        regions=settings.regions,
+        side=job.side,
+        pixel_mm=job.pixel_mm,
+        region_px=settings.region_px,
+        place_px=job.place_px,
     )
     located = perf_counter()
     record: Record = {
@@ -255,7 +268,9 @@ def hash_settings(templates: Sequence[Template], settings: Any) -> str:
         16 hexadecimal digits.
     """
     libraries = (*_LIBRARIES, *BACKENDS[settings.backend].libraries)
-    at = [template.scalar_values for template in templates]
+    at: list[Any] = [template.scalar_values for template in templates]
+    if settings.regions == "reader":
+        at += hash_reader()
     facts = [vars(settings), at, compute_code_hashes(_CODE_PACKAGES), {name: version(name) for name in libraries}]
     digest = hashlib.sha256(json.dumps(facts).encode())
     for template in templates:

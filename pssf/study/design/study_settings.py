@@ -11,6 +11,7 @@ from ...core.checks import (
 )
 from ...radiomics.features.feature_backends import default_backend, require_backend
 from ...radiomics.features.feature_families import FAMILIES
+from ...radiomics.localisation.region_placement import REGIONS
 
 # Label of each feature selection and classifier in reports, keyed by its name in settings and tables.
 SELECTIONS = {"l1": "L1", "mrmr": "mRMR"}
@@ -53,6 +54,9 @@ class StudySettings:
         Reference protocol of the within-protocol scenario and of the pairwise ICCs.
     backend : str
         Radiomics backend, from `radiomics.features.feature_backends.BACKENDS`.
+    regions : {"template", "reader", "truth"}
+        Source of the position of the regions on simulated radiographs: search with templates, landmarks of `pssf.read`,
+        or true labels. On patient radiographs, "truth" means "reader".
 
     Raises
     ------
@@ -74,6 +78,7 @@ class StudySettings:
     strengths: tuple[float, ...] = (0.0, 0.3, 0.6, 0.9)
     reference: str = "reference"
     backend: str = field(default_factory=default_backend)
+    regions: str = "template"
 
     def __post_init__(self) -> None:
         require_integer("region_px", self.region_px, 16, 4096, "pixels")
@@ -81,6 +86,7 @@ class StudySettings:
         require_integer("repeats", self.repeats, 1, 1000, "splits")
         require_seed(self.seed)
         require_backend(self.backend)
+        require_choice("regions", self.regions, REGIONS)
         require_in_range("rho", self.rho, 0.1, 1, "(correlation)")
         require_integer("most_features", self.most_features, 1, 100, "features")
         require_integer("replicates", self.replicates, 100, 100_000, "samples")
@@ -99,3 +105,8 @@ class StudySettings:
                 require_choice(name, choice, tuple(allowed))
             if len(set(given)) < len(given):
                 raise InputError(f"{name} must list each entry once, got {', '.join(given)}")
+
+    @property
+    def film_regions(self) -> str:
+        """Source of the position of the regions on displayed and patient radiographs: "template" or "reader"."""
+        return "template" if self.regions == "template" else "reader"

@@ -190,6 +190,7 @@ def evaluate_on_films(bench: MeasurementContext, films: FilmSet, manifest: pd.Da
         bins=settings.bins,
         families=families,
         backend=settings.backend,
+        regions=settings.film_regions,
     )
     own = _measure_jobs(bench, how, _make_cohort_jobs(cohort), films.load_cohort, "cohort as displayed")
     own = cohort.merge(own.drop(columns="sha256"), on="radiograph", validate="one_to_one")
@@ -335,6 +336,7 @@ def _pack_film_model(
         grade_names=class_names(kept.task),
         families=display_settings.families,
         backend=display_settings.backend,
+        regions=display_settings.regions,
         bins=display_settings.bins,
         pixel_mm=display_settings.pixel_mm,
         region_px=display_settings.region_px,

@@ -154,6 +154,8 @@ class ModelCard(Record, frozen=True):
         Software that was used to make the model.
     backend : str
         Radiomics backend that measured the features. Older files have no backend field and used pyradiomics.
+    regions : {"template", "reader"}
+        Source of the position of the regions. Older files have no regions field and used templates.
     """
 
     format: str
@@ -177,6 +179,7 @@ class ModelCard(Record, frozen=True):
     templates: tuple[TemplateRecord, ...]
     made_by: SoftwareVersions
     backend: str = "pyradiomics"
+    regions: str = "template"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -242,8 +245,8 @@ def pack_model(kept: RefittedModel, templates: Sequence[Template], **card_entrie
     templates : sequence of Template
         Templates cropped by `radiomics.localisation.crop_template`.
     **card_entries : Any
-        Fields of `ModelCard` that `kept` does not contain: reads, grade_names, families, backend, bins, pixel_mm,
-        region_px, trained_on, seed.
+        Fields of `ModelCard` that `kept` does not contain: reads, grade_names, families, backend, regions, bins,
+        pixel_mm, region_px, trained_on, seed.
 
     Returns
     -------
