@@ -1,7 +1,9 @@
 """The reader: frames, positions from heat maps, joint measures, and a whole reading with known heat maps."""
 
 import csv
+import io
 import json
+import pickle
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,6 +18,7 @@ from pssf.core.checks import InputError
 from pssf.data.analysis.landmark_table import load_landmark_reference
 from pssf.io.landmark_files import read_pts, write_pts
 from pssf.io.patients.landmark_annotations import read_landmark_annotations
+from pssf.io.pictures import write_image_row
 from pssf.radiomics.localisation.region_placement import find_polarity, locate_joint_by_reader, locate_region
 from pssf.reader import Reader, load_reader, read
 from pssf.reader.film_overlay import draw_overlay
@@ -384,7 +387,7 @@ def test_command_writes_tables_points_and_pictures(tmp_path, monkeypatch, capsys
     assert points[:3] == ["version: 1", "n_points: 16", "{"]
     with Image.open(tmp_path / "out" / "pictures" / "a.png") as picture:
         assert picture.size == (400, 300)
-    (agreement, _) = csv.DictReader((tmp_path / "out" / "agreement.csv").open(encoding="utf-8"))
+    (agreement, _) = csv.DictReader((tmp_path / "out" / "reader_agreement.csv").open(encoding="utf-8"))
     assert (agreement["found"], agreement["side_right"]) == ("1", "1")
 
 
@@ -511,3 +514,27 @@ def test_region_of_the_truth_is_at_the_label():
     assert locate_region(np.ones((80, 90)), region_px=70, place_px=(30.25, 50.5), **chosen).status == "leaves image"
     with pytest.raises(InputError, match="no true position"):
         locate_region(np.ones((80, 90)), region_px=40, place_px=None, **chosen)
+
+
+def test_file_is_read_with_its_picture_and_rows(tmp_path):
+    frame = KneeFrame(centre_px=(150.0, 210.0), width_px=120.0, angle_rad=0.0, side="right")
+    film = np.clip(100 * draw_film(frame), 0, 255).astype(np.uint8)
+    path = write_image_row([film], tmp_path / "knee.png")
+    knees = read(path, pixel_mm=0.6, reader=make_reader())
+    (knee,) = knees
+    ((row,), (made,)) = knees.rows(), make_rows(str(path), read(film, pixel_mm=0.6, reader=make_reader()))
+    # A file is read with grey values from 0 to 1.
+    assert row == {key: pytest.approx(value, abs=0.01) for key, value in made.items()}
+    assert row["plateau_width_mm"] == pytest.approx(72.0, abs=0.5)
+    drawn = knees.draw()
+    assert drawn.shape == (300, 400, 3)
+    shown = np.asarray(Image.open(io.BytesIO(knees._repr_png_())))
+    np.testing.assert_array_equal(shown, drawn)
+    again = pickle.loads(pickle.dumps(knees))
+    assert again.rows() == [row]
+    assert again[0].landmarks_px == knee.landmarks_px
+
+
+def test_missing_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match=r"none\.png"):
+        read(tmp_path / "none.png", reader=make_reader())

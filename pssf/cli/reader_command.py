@@ -12,7 +12,8 @@ from .shared_options import Out, Processes, Seed
 if TYPE_CHECKING:
     from ..io.patients.landmark_annotations import LandmarkAnnotation
     from ..io.patients.patient_radiographs import Film
-    from ..reader import KneeReading, Reader
+    from ..reader import FilmReading, Reader
+    from ..reader_training.hold_out import HoldOutErrors
     from ..reader_training.training_settings import FineTuningSettings
 
 Networks = Annotated[
@@ -44,30 +45,30 @@ def landmarks(
     """Find landmarks, joint space and bone masks on frontal knee radiographs.
 
     The command writes landmarks.csv and landmarks.json with one entry per knee, and per knee a landmark file (.pts) and
-    per radiograph a picture. With --compare, it also writes agreement.csv, with one row per group of radiographs, and
-    agreement_films.csv. The networks were trained on simulated radiographs alone. They are for research, not for
-    diagnosis.
+    per radiograph a picture. With --compare, it also writes reader_agreement.csv, with one row per group of
+    radiographs, and reader_agreement_films.csv. The networks were trained on simulated radiographs alone. They are for
+    research, not for diagnosis.
     """
     from ..core.checks import InputError
     from ..core.processes.execution import Execution
     from ..core.progress_display import show_progress_bar
     from ..io.cohort_records import write_csv, write_json
+    from ..io.run_record import start_run_record
     from ..reader import load_reader
-    from ..reader.reading_rows import make_rows
 
-    reader = load_reader(networks)
+    record, reader = start_run_record(), load_reader(networks)
     listed = [film for path in films for film in collect_films(path, "", pixel_mm)]
     annotated = _read_annotations(compare)
     rows: list[dict[str, Any]] = []
     taken: set[str] = set()
-    readings: dict[str, tuple[KneeReading, ...]] = {}
+    readings: dict[str, FilmReading] = {}
     with Execution(progress_bar=show_progress_bar).stage("landmarks", "radiographs", len(listed)) as stage:
         for film in listed:
             try:
                 readings[Path(film.file).name] = knees = _read_film(
                     film, reader, out, make_unique_stem(film.file, taken)
                 )
-                rows += make_rows(film.file, knees)
+                rows += knees.rows()
             except InputError as error:
                 rows.append({"file": film.file, "status": f"unreadable: {error}"})
             stage.advance(1)
@@ -78,6 +79,7 @@ def landmarks(
     write_json(out / "landmarks.json", rows)
     if annotated:
         _write_agreement(readings, annotated, out)
+    record.save(out)
     count = sum(row["status"] == "read" for row in rows)
     print(f"table     {out / 'landmarks.csv'}, {count} of {len(rows)} knees read")
 
@@ -90,9 +92,7 @@ def _read_annotations(path: Path | None) -> "list[LandmarkAnnotation]":
     return [] if path is None else read_landmark_annotations(path, CONTOUR_LANDMARKS)
 
 
-def _write_agreement(
-    readings: "dict[str, tuple[KneeReading, ...]]", annotated: "list[LandmarkAnnotation]", out: Path
-) -> None:
+def _write_agreement(readings: "dict[str, FilmReading]", annotated: "list[LandmarkAnnotation]", out: Path) -> None:
     """Compare readings with annotations, and write and print the agreement."""
     from ..core.checks import InputError
     from ..io.cohort_records import write_csv
@@ -109,27 +109,24 @@ def _write_agreement(
         rows.append(compare_landmarks(knee, annotation.landmarks_mm, annotation.side))
     grades = [annotation.grade for annotation in matched]
     named = [{"file": one.file, "kl": one.grade, **row} for one, row in zip(matched, rows, strict=True)]
-    write_csv(out / "agreement_films.csv", named)
+    write_csv(out / "reader_agreement_films.csv", named)
     summary = summarise_agreement(rows, grades)
-    write_csv(out / "agreement.csv", summary)
+    write_csv(out / "reader_agreement.csv", summary)
     for row in summary:
         values = (f"{name} {value:.3g}" for name, value in row.items() if isinstance(value, (int, float)))
         print(f"{row['radiographs']:<10}{', '.join(values)}")
 
 
-def _read_film(film: "Film", reader: "Reader", out: Path, stem: str) -> "tuple[KneeReading, ...]":
+def _read_film(film: "Film", reader: "Reader", out: Path, stem: str) -> "FilmReading":
     """Read one radiograph, and write its landmark files and picture."""
     from ..io.landmark_files import write_pts
-    from ..io.patients.patient_radiographs import read_film
     from ..io.pictures import write_image_row
     from ..reader import read
-    from ..reader.film_overlay import draw_overlay
 
-    image = read_film(film.file)
-    knees = read(image.pixels, pixel_mm=film.pixel_mm or image.pixel_mm, reader=reader)
+    knees = read(film.file, pixel_mm=film.pixel_mm, reader=reader)
     for knee in knees:
         write_pts(out / "points" / f"{stem}_{knee.side}.pts", knee.landmarks_px)
-    write_image_row([draw_overlay(image.pixels, knees)], out / "pictures" / f"{stem}.png")
+    write_image_row([knees.draw()], out / "pictures" / f"{stem}.png")
     return knees
 
 
@@ -168,8 +165,10 @@ def train_reader(
     """
     from ..core.checks import InputError, require_workers
     from ..dataset import DatasetSettings
+    from ..io.run_record import start_run_record
     from .dataset_command import make_with_progress
 
+    record = start_run_record()
     require_workers(workers, "processes")
     try:
         from ..reader_training.reader_maker import make_reader
@@ -178,6 +177,7 @@ def train_reader(
         raise InputError(f"train-reader needs {error.name}: pip install 'pssf[train]'") from error
     if finetune is not None:
         _fine_tune(finetune, networks, FineTuningSettings(seed=seed, steps=finetune_steps, threads=threads), out)
+        record.save(out)
         return
     settings = ReaderTrainingSettings(
         images=images,
@@ -198,11 +198,17 @@ def train_reader(
         _print_progress,
         workers,
     )
+    record.save(out)
+    _print_errors(errors)
+    print(f"networks  {out}")
+
+
+def _print_errors(errors: "HoldOutErrors") -> None:
+    """Print the errors on simulated radiographs."""
     mean = sum(errors.landmark_mm.values()) / len(errors.landmark_mm)
     print(f"errors    landmarks {mean:.2f} mm on simulated radiographs for tests")
     print(f"          joint space {_list_values(errors.jsw_mae_mm, ' mm')} (mean absolute error)")
     print(f"masks     Dice {_list_values(errors.dice)}")
-    print(f"networks  {out}")
 
 
 def _fine_tune(films: Path, networks: Path | None, settings: "FineTuningSettings", out: Path) -> None:

@@ -1,6 +1,6 @@
 """Read landmarks, joint space and bone masks on frontal radiographs, with networks that were trained on simulations.
 
-read         image           -> landmarks, masks and joint measures of each knee
+read         image or file   -> landmarks, masks and joint measures of each knee
 load_reader  folder          -> networks and thresholds
 
 knee_frame      position, size, rotation and side of a knee; crops in its frame
@@ -8,12 +8,14 @@ networks        networks in ONNX format, and positions from heat maps
 knee_finder     knees on a radiograph
 joint_measures  joint space widths and joint-line convergence from landmarks
 reader_table    mean shape and thresholds
-knee_reading    reading of a radiograph
+knee_reading    reading of the knees on a radiograph
 reading_rows    table rows of readings
 film_overlay    pictures of readings
+film_reading    reading of a file or an array, with its picture
 landmark_agreement  comparison with annotated landmarks
 """
 
-from .knee_reading import KneeReading, Reader, load_reader, read
+from .film_reading import FilmReading, read
+from .knee_reading import KneeReading, Reader, load_reader
 
-__all__ = ["KneeReading", "Reader", "load_reader", "read"]
+__all__ = ["FilmReading", "KneeReading", "Reader", "load_reader", "read"]

@@ -6,12 +6,11 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
-from ..core.checks import Array, InputError, require_in_range
-from ..io.patients.patient_list import PIXEL_MM_RANGE
+from ..core.checks import Array
 from .joint_measures import JointMeasures, measure_joint
 from .knee_finder import KneeCandidate, find_knees
 from .knee_frame import PLATEAU_EDGES, Grey, KneeFrame, fit_frame, fit_similarity, normalise_grey
@@ -132,40 +131,25 @@ def _load_reader(folder: Path) -> Reader:
     )
 
 
-def read(image: ArrayLike, *, pixel_mm: float | None = None, reader: Reader | None = None) -> tuple[KneeReading, ...]:
+def read_knees(image: Grey, pixel_mm: float | None, reader: Reader) -> tuple[KneeReading, ...]:
     """Read the knees on a frontal radiograph.
 
     Parameters
     ----------
-    image : (rows, cols) array
-        Grey values of a radiograph or a crop, of any range and polarity; both knees may be visible.
-    pixel_mm : float, optional
-        Pixel size, 0.01 to 5 mm; None: unknown, lengths are then given as fractions of the plateau width.
-    reader : Reader, optional
-        Result of `load_reader`; None: the networks of the package.
+    image : (rows, cols) float32 array
+        Grey values, of any range and polarity.
+    pixel_mm : float or None
+        Pixel size, in mm; None if unknown.
+    reader : Reader
+        Networks and thresholds.
 
     Returns
     -------
     tuple of KneeReading
         Knees from the viewer's left to the viewer's right; empty if the image shows no frontal knee.
-
-    Raises
-    ------
-    InputError
-        The image is not an array of at least 64 x 64 finite grey values, `pixel_mm` is outside its range, or ONNX
-        Runtime is not installed.
     """
-    grey = np.asarray(image)
-    if grey.ndim != 2 or min(grey.shape) < 64:
-        raise InputError(f"image must be an array of at least 64 x 64 grey values, got shape {grey.shape}")
-    if not np.isfinite(grey).all():
-        raise InputError(f"image must have finite grey values, got {np.sum(~np.isfinite(grey))} infinite or NaN")
-    if pixel_mm is not None:
-        require_in_range("pixel_mm", pixel_mm, *PIXEL_MM_RANGE, "mm")
-    used = load_reader() if reader is None else reader
-    values = grey.astype(np.float32)
-    knees = find_knees(values, used.locator, used.table.min_score)
-    return tuple(_read_knee(values, knee, pixel_mm, used) for knee in knees)
+    knees = find_knees(image, reader.locator, reader.table.min_score)
+    return tuple(_read_knee(image, knee, pixel_mm, reader) for knee in knees)
 
 
 def _read_knee(image: Grey, knee: KneeCandidate, pixel_mm: float | None, reader: Reader) -> KneeReading:

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..core.checks import InputError
 from ..io.atomic_write import copy_file, make_folder
-from ..io.cohort_records import claim_folder, hash_file, write_json
+from ..io.cohort_records import claim_folder, hash_file, write_csv
 from ..io.landmark_files import read_pts
 from ..io.patients.patient_list import Film
 from ..io.patients.patient_radiographs import read_film
@@ -25,7 +25,7 @@ from .hold_out import predict_places
 from .landmark_batches import make_landmark_batch
 from .losses import compute_landmark_loss
 from .reader_export import export_network
-from .reader_maker import ERRORS_FILE, SETTINGS_FILE, Report
+from .reader_maker import SETTINGS_FILE, Report
 from .training_images import TrainingImages, collect_training_images, prepare_image
 from .training_loop import train_network
 from .training_settings import FineTuningSettings
@@ -33,6 +33,7 @@ from .unet import ReaderUNet
 
 # Folder with the landmark files, beside the radiographs, as `pssf landmarks` writes it.
 POINTS_FOLDER = "points"
+ERRORS_FILE = "fine_tuning.csv"
 # Fraction of the subjects that are kept for the errors.
 _KEPT_FRACTION = 0.2
 _LEAST_SUBJECTS = 5
@@ -127,7 +128,7 @@ def fine_tune_reader(
     errors = FineTuningErrors(
         knees=int(kept.sum()), before=before, after=_measure_share(network, images, kept, present)
     )
-    write_json(folder / ERRORS_FILE, asdict(errors))
+    write_csv(folder / ERRORS_FILE, [asdict(errors)])
     return errors
 
 

@@ -1,6 +1,7 @@
 """Measure the errors of the landmark network on simulated radiographs that were not used for training."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
@@ -38,6 +39,14 @@ class HoldOutErrors:
     jsw_mae_mm: dict[str, float]
     jsw_bias_mm: dict[str, float]
     dice: dict[str, float]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return one table row per error, with the columns error, of and value."""
+        return [
+            {"error": error, "of": name, "value": round(value, 4)}
+            for error, named in vars(self).items()
+            for name, value in named.items()
+        ]
 
 
 def measure_hold_out(network: nn.Module, images: TrainingImages, settings: ReaderTrainingSettings) -> HoldOutErrors:

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..io.atomic_write import make_folder
-from ..io.cohort_records import claim_folder, hash_file, write_json
+from ..io.cohort_records import claim_folder, hash_file, write_csv, write_json
 from ..io.dataset_files import SETTINGS_FILE as DATASET_FILE
 from ..reader.knee_reading import LANDMARK_FILE, LOCATOR_FILE
 from ..reader.networks import NetworkSettings, load_network
@@ -30,7 +30,7 @@ from .training_settings import ReaderTrainingSettings
 from .unet import STRIDE, ReaderUNet
 
 SETTINGS_FILE = "training.json"
-ERRORS_FILE = "errors.json"
+ERRORS_FILE = "reader_simulated.csv"
 # Side of the input of the network that finds knees, in pixels, and its number of feature maps.
 _LOCATOR_PX = 192
 _LOCATOR_WIDTH = 12
@@ -189,5 +189,5 @@ def make_reader(
     )
     write_json(folder / TABLE_FILE, msgspec.to_builtins(table))
     errors = measure_hold_out(network, read_training_images(data, "test", workers), settings)
-    write_json(folder / ERRORS_FILE, asdict(errors))
+    write_csv(folder / ERRORS_FILE, errors.rows())
     return errors, table

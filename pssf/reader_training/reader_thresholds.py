@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array
 from ..reader.knee_finder import find_knees
-from ..reader.knee_reading import Reader, read
+from ..reader.knee_reading import Reader, read_knees
 from ..reader.networks import Network
 from ..reader.reader_table import ReaderTable
 from .locator_batches import make_wrong_image
@@ -81,7 +81,7 @@ def set_thresholds(
         mean_shape=compute_mean_shape(training),
     )
     reader = Reader(locator=locator, landmarks=landmarks, table=open_table)
-    knees = [knee for pixels in radiographs for knee in read(pixels, reader=reader)]
+    knees = [knee for pixels in radiographs for knee in read_knees(pixels.astype(np.float32), None, reader)]
     confidence = min(float(np.median(list(knee.confidence.values()))) for knee in knees)
     return ReaderTable(
         min_score=round(min_score, 4),

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from ...core.checks import Array, InputError
 from ...data.analysis.localisation_table import LocalisationSettings
 from ...io.cohort_records import hash_file
-from ...reader import KneeReading, Reader, load_reader, read
+from ...reader import KneeReading, Reader, load_reader
 from ...reader.knee_frame import PLATEAU_EDGES, fit_frame
-from ...reader.knee_reading import LANDMARK_FILE, LOCATOR_FILE
+from ...reader.knee_reading import LANDMARK_FILE, LOCATOR_FILE, read_knees
 from ...reader.reader_table import PACKAGE_FOLDER, TABLE_FILE
 from .joint_localisation import ORIENTATIONS, JointLocation, locate_joint_in_radiograph
 from .region_of_interest import region_fits
@@ -132,9 +132,9 @@ def locate_joint_by_reader(
     Raises
     ------
     InputError
-        The image is too small, or the networks are missing.
+        The networks are missing.
     """
-    knees = read(pixels, reader=load_reader() if reader is None else reader)
+    knees = read_knees(pixels.astype(np.float32), None, load_reader() if reader is None else reader)
     if not knees:
         return _make_location("no knee", side or "right", pixel_mm or 1.0)
     of_side = [knee for knee in knees if side in (None, knee.side)]
