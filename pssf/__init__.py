@@ -69,6 +69,7 @@ if TYPE_CHECKING:
         check,
         trace,
     )
+    from .reader import FilmReading, KneeReading, read
     from .simulation import KernelNotice, simulate
     from .study.prediction.own_images import features
 
@@ -96,6 +97,7 @@ _WHERE = {
     "model.protocol": ("Protocol", "load_protocol"),
     "model.radiograph": ("Radiograph", "Truth"),
     "raycast": ("Paths", "Report", "check", "trace"),
+    "reader": ("FilmReading", "KneeReading", "read"),
     "simulation": ("KernelNotice", "simulate"),
     "study.prediction.own_images": ("features",),
 }
@@ -105,10 +107,12 @@ __all__ = [
     "Cyst",
     "Density",
     "Detector",
+    "FilmReading",
     "ImageNotice",
     "InputError",
     "KernelNotice",
     "Knee",
+    "KneeReading",
     "MeshNotice",
     "Osteophyte",
     "Paths",
@@ -132,6 +136,7 @@ __all__ = [
     "load_parameters",
     "load_protocol",
     "progress",
+    "read",
     "read_mesh",
     "read_scene",
     "render_for_display",

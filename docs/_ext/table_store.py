@@ -33,7 +33,7 @@ _DEFAULTS = {
     "compare-patients": {"--protocol": "reference", "--knees": "200", "--grade-table": "population", "--seed": "0"},
 }
 # Options of `pssf compare-patients`, each of which adds tables and does not change the other tables.
-_PATIENT_FOLDERS = ("--films", "--bones", "--cohort")
+_PATIENT_FOLDERS = ("--films", "--bones", "--cohort", "--compare", "--data")
 
 
 @dataclass(frozen=True)

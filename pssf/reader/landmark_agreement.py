@@ -102,7 +102,7 @@ def _summarise(rows: Sequence[Row]) -> Row:
         return summary
     distance = np.array([row["distance_mm"] for row in read])
     summary |= {"median_mm": float(np.median(distance)), "p90_mm": float(np.quantile(distance, 0.9))}
-    summary |= {f"below_{limit:g}_mm": float((distance < limit).mean()) for limit in _LIMITS_MM}
+    summary |= {f"below_{limit:g}_mm".replace(".", "_"): float((distance < limit).mean()) for limit in _LIMITS_MM}
     for side in ("medial", "lateral"):
         ours, theirs = (np.array([row[f"{side}_gap{kind}_mm"] for row in read]) for kind in ("", "_annotated"))
         summary |= {

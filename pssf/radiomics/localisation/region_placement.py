@@ -24,7 +24,7 @@ REGIONS = ("template", "reader", "truth")
 # Row and column of the medial joint line relative to the middle between the landmarks `femur_medial_condyle` and
 # `tibia_medial_1`, in the frame of a right knee, as fractions of the plateau width: means over 2,000 simulated
 # radiographs in fixed flexion (SD 0.3 and 1.1 mm).
-_MEDIAL_LINE_OFFSET = (-0.0052, -0.0335)
+_MEDIAL_LINE_OFFSET = (-0.0059, -0.0355)
 # Width of the tissue beside the bones that is compared with the bones, as a fraction of the plateau width.
 _BESIDE = 0.15
 
