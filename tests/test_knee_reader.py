@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import pickle
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,12 +24,13 @@ from pssf.radiomics.localisation.region_placement import find_polarity, locate_j
 from pssf.reader import Reader, load_reader, read
 from pssf.reader.film_overlay import draw_overlay
 from pssf.reader.joint_measures import measure_joint
-from pssf.reader.knee_finder import find_knees
+from pssf.reader.knee_finder import KneeCandidate, find_knees
 from pssf.reader.knee_frame import KneeFrame, fit_frame, fit_similarity, normalise_grey
 from pssf.reader.landmark_agreement import compare_landmarks, summarise_agreement
 from pssf.reader.networks import Network, NetworkSettings, decode_heat_maps, load_network
 from pssf.reader.reader_table import ReaderTable
 from pssf.reader.reading_rows import make_rows
+from pssf.reader.side_decision import decide_sides
 
 CROP_PX = 96
 PLATEAU_PX = 56.0
@@ -191,6 +193,11 @@ def make_reader(**thresholds):
         maps[first : first + 2] = 6 + draw_heat_maps(spots + 5.0, CROP_PX // 2, 4.0)
         return maps[None], np.zeros((1, 0, CROP_PX // 2, CROP_PX // 2), np.float32)
 
+    def tell_side(image):
+        spots = find_spots(image)
+        logit = 6.0 if spots[0, 1] < spots[1, 1] else -6.0
+        return np.full((1, 1, 1, 1), logit, np.float32), np.zeros((1, 0, 1, 1), np.float32)
+
     def mark(image):
         places = place_landmarks(fit_frame(find_spots(image), "right"))
         rows = 2 * np.arange(CROP_PX // 2) + 0.5
@@ -207,6 +214,7 @@ def make_reader(**thresholds):
     table = {
         "min_score": 0.3,
         "min_sure_score": 0.3,
+        "min_side_confidence": 0.6,
         "min_confidence": 0.3,
         "max_shape_residual": 0.05,
         "mean_shape": tuple((-y, x) for x, y in SHAPE.tolist()),
@@ -214,6 +222,7 @@ def make_reader(**thresholds):
     edges = ("right_lateral", "right_medial", "left_lateral", "left_medial")
     return Reader(
         locator=make(0.0, edges, (), locate),
+        sides=make(PLATEAU_PX, ("right",), (), tell_side),
         landmarks=make(PLATEAU_PX, CONTOUR_LANDMARKS, BONES, mark),
         table=ReaderTable(**(table | thresholds)),
     )
@@ -244,6 +253,7 @@ def test_reading_returns_side_landmarks_and_lengths_of_the_knee(side):
         ({"max_shape_residual": -1.0}, "shape"),
         ({"min_confidence": 1.1}, "confidence"),
         ({"min_sure_score": 1.1}, "score of the knee"),
+        ({"min_side_confidence": 1.1}, "probability of the side"),
     ],
 )
 def test_reading_beyond_a_threshold_is_refused_with_its_reason(threshold, reason):
@@ -538,3 +548,32 @@ def test_file_is_read_with_its_picture_and_rows(tmp_path):
 def test_missing_file_is_refused(tmp_path):
     with pytest.raises(InputError, match=r"none\.png"):
         read(tmp_path / "none.png", reader=make_reader())
+
+
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize(("locator_logit", "decided"), [(1.0, True), (-1.0, True), (-4.0, False)])
+def test_side_follows_from_both_networks(side, locator_logit, decided):
+    """The side network is sure with a logit of 6, of which half counts."""
+    frame = KneeFrame(centre_px=(150.0, 210.0), width_px=120.0, angle_rad=0.1, side=side)
+    film = draw_film(frame).astype(np.float32)
+    other = "left" if side == "right" else "right"
+    shown = replace(frame, side=side if locator_logit > 0 else other)
+    knee = KneeCandidate(frame=shown, score=0.9, side_logit=abs(locator_logit))
+    ((made, sure),) = decide_sides(film, [knee], make_reader().sides)
+    assert (made.frame.side == side) == decided
+    evidence = abs(3.0 + locator_logit)
+    assert sure == pytest.approx(1 / (1 + np.exp(-evidence)), rel=1e-4)
+
+
+def test_two_knees_have_different_sides():
+    right = KneeFrame(centre_px=(150.0, 100.0), width_px=100.0, angle_rad=0.0, side="right")
+    left = KneeFrame(centre_px=(150.0, 300.0), width_px=100.0, angle_rad=0.0, side="left")
+    film = (draw_film(right) + draw_film(left)).astype(np.float32)
+    # The first network has exchanged the sides, and is unsure of one of them.
+    wrong = [
+        KneeCandidate(frame=replace(right, side="left"), score=0.9, side_logit=0.1),
+        KneeCandidate(frame=replace(left, side="right"), score=0.9, side_logit=4.0),
+    ]
+    decided = decide_sides(film, wrong, make_reader().sides)
+    assert [knee.frame.side for knee, _ in decided] == ["right", "left"]
+    assert decided[0][1] == decided[1][1]

@@ -298,7 +298,7 @@ def small_reader(tmp_path_factory):
         crop_px=64, plateau_px=36.0, stride=2, landmarks=CONTOUR_LANDMARKS, masks=training_images.BONES
     )
     export_network(network, described, folder / "landmarks.onnx")
-    for name in ("locator.onnx", "reader.json"):
+    for name in ("locator.onnx", "side.onnx", "reader.json"):
         (folder / name).write_bytes(b"unchanged")
     return folder
 
@@ -366,3 +366,26 @@ def test_subjects_are_kept_with_all_their_knees():
     kept = fine_tuning.choose_kept_subjects(subjects, seed=1)
     assert kept.sum() == 4
     assert (kept[::2] == kept[1::2]).all()
+
+
+def test_side_network_learns_from_mirrored_crops(images, tmp_path):
+    """In each image, the spots are at other places, so that a network can learn which images are mirrored."""
+    losses = []
+    reader_maker.train_side_network(
+        images,
+        ReaderTrainingSettings(side_steps=30, randomisation="none", learning_rate=0.01),
+        tmp_path,
+        lambda *progress: losses.append(progress[-1]),
+    )
+    sides = load_network(tmp_path / "side.onnx")
+    assert sides.settings.landmarks == ("right",)
+    crop = (
+        landmark_batches.make_landmark_batch(images, np.arange(6), crop_px=72, plateau_px=36.0, randomise_grey=None)
+        .image[:, 0]
+        .numpy()
+    )
+    right = np.array(
+        [[sides.run(np.ascontiguousarray(one))[0].item() for one in (image, image[:, ::-1])] for image in crop]
+    )
+    assert (right[:, 0] > right[:, 1]).mean() > 0.8
+    assert losses[-1] < np.log(2)

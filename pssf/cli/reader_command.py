@@ -143,6 +143,9 @@ def train_reader(
         int, typer.Option(help="Training steps of the network that finds landmarks and masks.")
     ] = 6000,
     locator_steps: Annotated[int, typer.Option(help="Training steps of the network that finds knees.")] = 3000,
+    side_steps: Annotated[
+        int, typer.Option(help="Training steps of the network that tells right from left knees.")
+    ] = 4200,
     randomisation: Annotated[str, typer.Option(help="Random change of grey values: none, mild or strong.")] = "strong",
     threads: Annotated[
         int, typer.Option(help="Number of threads of PyTorch; it changes the last digits of the networks.")
@@ -184,6 +187,7 @@ def train_reader(
         seed=seed,
         landmark_steps=landmark_steps,
         locator_steps=locator_steps,
+        side_steps=side_steps,
         randomisation=randomisation,
         threads=threads,
     )

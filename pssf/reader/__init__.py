@@ -6,6 +6,7 @@ load_reader  folder          -> networks and thresholds
 knee_frame      position, size, rotation and side of a knee; crops in its frame
 networks        networks in ONNX format, and positions from heat maps
 knee_finder     knees on a radiograph
+side_decision   right or left knee
 joint_measures  joint space widths and joint-line convergence from landmarks
 reader_table    mean shape and thresholds
 knee_reading    reading of the knees on a radiograph

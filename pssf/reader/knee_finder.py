@@ -1,10 +1,10 @@
 """Find the knees on a radiograph or a crop of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
+from scipy.special import expit, logit
 
 from ..core.checks import Array
 from .knee_frame import Grey, KneeFrame, fit_frame, make_whole_frame, normalise_grey
@@ -14,6 +14,8 @@ from .networks import Network
 _WINDOW_PX = 4
 # Distance between the middles of two knees below which both are the same knee, as a fraction of the larger plateau.
 _SAME_KNEE = 0.7
+# Largest logit of a side, which is also that of a knee at whose place the other side was not found.
+_LARGEST_LOGIT = 4.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,10 +28,13 @@ class KneeCandidate:
         Frame of the knee on the image.
     score : float
         Lower of the scores of both plateau edges, 0 to 1.
+    side_logit : float
+        Logit of the score minus that of the other side at the same place; positive if the network prefers this side.
     """
 
     frame: KneeFrame
     score: float
+    side_logit: float
 
 
 def find_knees(image: Grey, locator: Network, min_score: float) -> list[KneeCandidate]:
@@ -53,16 +58,17 @@ def find_knees(image: Grey, locator: Network, min_score: float) -> list[KneeCand
     whole = make_whole_frame(image.shape, size, "right")
     heat_maps, _ = locator.run(normalise_grey(*whole.cut_crop(image, 1.0, size)))
     scores = expit(heat_maps)
-    knees = []
+    candidates = []
     stride = locator.settings.stride
     for side, pair in (("right", scores[:2]), ("left", scores[2:])):
         edges = np.array([_find_peak(score) for score in pair]) * stride + (stride - 1) / 2
         frame = fit_frame(whole.map_to_image(edges, 1.0, size), side)
         score = float(pair.max(axis=(1, 2)).min())
         # The lateral edge of a right knee is on the viewer's left; the network may exchange the edges of another thing.
-        if score >= min_score and frame.width_px > 0 and abs(frame.angle_rad) < np.pi / 2:
-            knees.append(KneeCandidate(frame=frame, score=score))
-    return sorted(_drop_second_side(knees), key=lambda knee: knee.frame.centre_px[1])
+        if frame.width_px > 0 and abs(frame.angle_rad) < np.pi / 2:
+            candidates.append(KneeCandidate(frame=frame, score=score, side_logit=_LARGEST_LOGIT))
+    knees = [knee for knee in _drop_second_side(candidates) if knee.score >= min_score]
+    return sorted(knees, key=lambda knee: knee.frame.centre_px[1])
 
 
 def _find_peak(score: NDArray[np.floating]) -> Array:
@@ -81,5 +87,7 @@ def _drop_second_side(knees: list[KneeCandidate]) -> list[KneeCandidate]:
         first, second = knees
         distance = np.hypot(*np.subtract(first.frame.centre_px, second.frame.centre_px))
         if distance < _SAME_KNEE * max(first.frame.width_px, second.frame.width_px):
-            return [max(knees, key=lambda knee: knee.score)]
+            other, knee = sorted(knees, key=lambda knee: knee.score)
+            margin = logit(np.clip([knee.score, other.score], 1e-6, 1 - 1e-6)) @ (1, -1)
+            return [replace(knee, side_logit=min(float(margin), _LARGEST_LOGIT))]
     return knees

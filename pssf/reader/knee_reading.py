@@ -16,8 +16,10 @@ from .knee_finder import KneeCandidate, find_knees
 from .knee_frame import PLATEAU_EDGES, Grey, KneeFrame, fit_frame, fit_similarity, normalise_grey
 from .networks import DecodedHeatMaps, Network, NetworkSettings, decode_heat_maps, load_network
 from .reader_table import PACKAGE_FOLDER, ReaderTable, load_reader_table
+from .side_decision import decide_sides
 
 LOCATOR_FILE = "locator.onnx"
+SIDE_FILE = "side.onnx"
 LANDMARK_FILE = "landmarks.onnx"
 # Number of times that the landmarks are found in the frame that the last landmarks define.
 _PASSES = 3
@@ -45,6 +47,8 @@ class KneeReading:
         Pixel size, in mm; None if unknown.
     score : float
         Score with which the knee was found, 0 to 1.
+    side_confidence : float
+        Probability of the side, 0.5 to 1.
     shape_residual : float
         Root-mean-square distance of the landmarks from the mean shape of simulated knees after a similarity fit, as a
         fraction of the plateau width.
@@ -60,6 +64,7 @@ class KneeReading:
     measures: JointMeasures
     pixel_mm: float | None
     score: float
+    side_confidence: float
     shape_residual: float
     refusal: str
 
@@ -89,6 +94,8 @@ class Reader:
     ----------
     locator : Network
         Network that finds knees.
+    sides : Network
+        Network that tells right from left knees.
     landmarks : Network
         Network that finds landmarks and masks in the frame of a knee.
     table : ReaderTable
@@ -96,6 +103,7 @@ class Reader:
     """
 
     locator: Network
+    sides: Network
     landmarks: Network
     table: ReaderTable
 
@@ -126,6 +134,7 @@ def _load_reader(folder: Path) -> Reader:
     """Load and keep the networks of a folder."""
     return Reader(
         locator=load_network(folder / LOCATOR_FILE),
+        sides=load_network(folder / SIDE_FILE),
         landmarks=load_network(folder / LANDMARK_FILE),
         table=load_reader_table(folder),
     )
@@ -149,10 +158,13 @@ def read_knees(image: Grey, pixel_mm: float | None, reader: Reader) -> tuple[Kne
         Knees from the viewer's left to the viewer's right; empty if the image shows no frontal knee.
     """
     knees = find_knees(image, reader.locator, reader.table.min_score)
-    return tuple(_read_knee(image, knee, pixel_mm, reader) for knee in knees)
+    decided = decide_sides(image, knees, reader.sides)
+    return tuple(_read_knee(image, knee, sure, pixel_mm, reader) for knee, sure in decided)
 
 
-def _read_knee(image: Grey, knee: KneeCandidate, pixel_mm: float | None, reader: Reader) -> KneeReading:
+def _read_knee(
+    image: Grey, knee: KneeCandidate, side_confidence: float, pixel_mm: float | None, reader: Reader
+) -> KneeReading:
     """Read one knee in the frame that its own landmarks define."""
     settings = reader.landmarks.settings
     frame = knee.frame
@@ -172,8 +184,9 @@ def _read_knee(image: Grey, knee: KneeCandidate, pixel_mm: float | None, reader:
         measures=measure_joint(places, frame.side),
         pixel_mm=pixel_mm,
         score=knee.score,
+        side_confidence=side_confidence,
         shape_residual=residual,
-        refusal=_find_refusal(knee, decoded, residual, reader.table),
+        refusal=_find_refusal(knee, side_confidence, decoded, residual, reader.table),
     )
 
 
@@ -204,7 +217,9 @@ def compute_shape_residual(places_px: Array, frame: KneeFrame, mean_shape: Seque
     return float(np.sqrt((distance**2).sum(axis=1).mean()))
 
 
-def _find_refusal(knee: KneeCandidate, decoded: DecodedHeatMaps, residual: float, table: ReaderTable) -> str:
+def _find_refusal(
+    knee: KneeCandidate, side_confidence: float, decoded: DecodedHeatMaps, residual: float, table: ReaderTable
+) -> str:
     """Return the reason why a reading must not be used, or an empty text."""
     if residual > table.max_shape_residual:
         return (
@@ -215,6 +230,8 @@ def _find_refusal(knee: KneeCandidate, decoded: DecodedHeatMaps, residual: float
         return f"median confidence of the landmarks is {least:.2f}, below {table.min_confidence:.2f}"
     if knee.score < table.min_sure_score:
         return f"score of the knee is {knee.score:.2f}, below {table.min_sure_score:.2f}"
+    if side_confidence < table.min_side_confidence:
+        return f"probability of the side is {side_confidence:.2f}, below {table.min_side_confidence:.2f}"
     return ""
 
 

@@ -38,6 +38,7 @@ def _make_row(file: str, knee: KneeReading) -> Row:
         "status": f"refused: {knee.refusal}" if knee.refusal else READ,
         "side": knee.side,
         "score": round(knee.score, 4),
+        "side_confidence": round(knee.side_confidence, 4),
         "shape_residual": round(knee.shape_residual, 4),
         "angle_deg": round(knee.angle_deg, 3),
         "pixel_mm": knee.pixel_mm,

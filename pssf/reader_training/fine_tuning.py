@@ -17,7 +17,7 @@ from ..io.landmark_files import read_pts
 from ..io.patients.patient_list import Film
 from ..io.patients.patient_radiographs import read_film
 from ..reader.knee_frame import PLATEAU_EDGES, fit_frame, normalise_grey
-from ..reader.knee_reading import LANDMARK_FILE, LOCATOR_FILE, draw_masks
+from ..reader.knee_reading import LANDMARK_FILE, LOCATOR_FILE, SIDE_FILE, draw_masks
 from ..reader.networks import Network, load_network
 from ..reader.reader_table import TABLE_FILE
 from .grey_randomisation import build_grey_randomisation
@@ -123,7 +123,7 @@ def fine_tune_reader(
         report=lambda done, of, loss: report("landmarks", done, of, loss),
     )
     export_network(network, present.settings, folder / LANDMARK_FILE)
-    for name in (LOCATOR_FILE, TABLE_FILE):
+    for name in (LOCATOR_FILE, SIDE_FILE, TABLE_FILE):
         copy_file(networks / name, folder / name)
     errors = FineTuningErrors(
         knees=int(kept.sum()), before=before, after=_measure_share(network, images, kept, present)

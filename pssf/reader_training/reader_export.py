@@ -6,17 +6,18 @@ import onnx
 import torch
 
 from ..reader.networks import NetworkSettings, describe_settings
+from .side_network import SideNetwork
 from .unet import ReaderUNet
 
 _OPSET = 18
 
 
-def export_network(network: ReaderUNet, settings: NetworkSettings, path: Path) -> None:
+def export_network(network: ReaderUNet | SideNetwork, settings: NetworkSettings, path: Path) -> None:
     """Write a network as ONNX.
 
     Parameters
     ----------
-    network : ReaderUNet
+    network : ReaderUNet or SideNetwork
         Trained network.
     settings : NetworkSettings
         Settings that `reader.networks.load_network` needs.

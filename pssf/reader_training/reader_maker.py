@@ -1,4 +1,4 @@
-"""Train both networks of the reader on a simulated data set, and write them as ONNX."""
+"""Train the networks of the reader on a simulated data set, and write them as ONNX."""
 
 from collections.abc import Callable
 from dataclasses import asdict
@@ -14,7 +14,7 @@ from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..io.atomic_write import make_folder
 from ..io.cohort_records import claim_folder, hash_file, write_csv, write_json
 from ..io.dataset_files import SETTINGS_FILE as DATASET_FILE
-from ..reader.knee_reading import LANDMARK_FILE, LOCATOR_FILE
+from ..reader.knee_reading import LANDMARK_FILE, LOCATOR_FILE, SIDE_FILE
 from ..reader.networks import NetworkSettings, load_network
 from ..reader.reader_table import TABLE_FILE, ReaderTable
 from .grey_randomisation import build_grey_randomisation
@@ -24,6 +24,7 @@ from .locator_batches import EDGE_CHANNELS, make_locator_batch
 from .losses import compute_edge_loss, compute_landmark_loss
 from .reader_export import export_network
 from .reader_thresholds import set_thresholds
+from .side_network import SideNetwork, compute_side_loss
 from .training_images import BONES, TrainingImages, read_displays, read_training_images
 from .training_loop import ComputeLoss, train_network
 from .training_settings import ReaderTrainingSettings
@@ -34,6 +35,11 @@ ERRORS_FILE = "reader_simulated.csv"
 # Side of the input of the network that finds knees, in pixels, and its number of feature maps.
 _LOCATOR_PX = 192
 _LOCATOR_WIDTH = 12
+# Side of the input of the side network, width of its plateau, in pixels, and number of crops per step. The pixels are
+# coarse, so that shape decides and not texture.
+_SIDE_PX = 72
+_SIDE_PLATEAU_PX = 36.0
+_SIDE_BATCH = 16
 # Initial bias of the heat maps of the locator, divided by the factor of the logits: few pixels contain an edge.
 _LOCATOR_BIAS = -0.4
 
@@ -119,8 +125,45 @@ def train_locator(images: TrainingImages, settings: ReaderTrainingSettings, fold
     return network
 
 
+def train_side_network(
+    images: TrainingImages, settings: ReaderTrainingSettings, folder: Path, report: Report
+) -> SideNetwork:
+    """Train the network that tells right from left knees, and write it.
+
+    Parameters
+    ----------
+    images : TrainingImages
+        Images for training.
+    settings : ReaderTrainingSettings
+        Settings of the training.
+    folder : Path
+        Folder for checkpoint and network.
+    report : callable
+        Function of the name of the network, finished steps, all steps and mean loss.
+
+    Returns
+    -------
+    SideNetwork
+        Trained network.
+    """
+    torch.manual_seed(settings.seed)
+    network, randomise = SideNetwork(), build_grey_randomisation(settings.randomisation)
+
+    def compute_loss(net: nn.Module, rng: np.random.Generator) -> Tensor:
+        chosen = rng.integers(len(images.crops), size=_SIDE_BATCH)
+        made = make_landmark_batch(
+            images, chosen, crop_px=_SIDE_PX, plateau_px=_SIDE_PLATEAU_PX, randomise_grey=randomise
+        )
+        return compute_side_loss(net, made.image)
+
+    described = NetworkSettings(crop_px=_SIDE_PX, plateau_px=_SIDE_PLATEAU_PX, stride=1, landmarks=("right",), masks=())
+    path, steps = folder / SIDE_FILE, settings.side_steps
+    _train_and_export(network, compute_loss, settings, described, path, report, steps=steps, seed=settings.seed + 2)
+    return network
+
+
 def _train_and_export(
-    network: ReaderUNet,
+    network: ReaderUNet | SideNetwork,
     compute_loss: ComputeLoss,
     settings: ReaderTrainingSettings,
     described: NetworkSettings,
@@ -180,8 +223,10 @@ def make_reader(
     images = read_training_images(data, "train", workers)
     network = train_landmark_network(images, settings, folder, report)
     train_locator(images, settings, folder, report)
+    train_side_network(images, settings, folder, report)
     table = set_thresholds(
         load_network(folder / LOCATOR_FILE),
+        load_network(folder / SIDE_FILE),
         load_network(folder / LANDMARK_FILE),
         images,
         read_displays(data, "validation"),

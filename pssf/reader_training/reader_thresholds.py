@@ -26,6 +26,8 @@ _MIN_SCORE_RANGE = (0.1, 0.5)
 _RESIDUAL_FACTOR = 1.25
 _CONFIDENCE_FACTOR = 0.6
 _SCORE_FACTOR = 0.6
+# Least probability of a side. It has no effect on simulated knees, whose sides are nearly certain (assumed).
+_MIN_SIDE_CONFIDENCE = 0.62
 
 
 def compute_mean_shape(images: TrainingImages) -> tuple[tuple[float, float], ...]:
@@ -47,6 +49,7 @@ def compute_mean_shape(images: TrainingImages) -> tuple[tuple[float, float], ...
 
 def set_thresholds(
     locator: Network,
+    sides: Network,
     landmarks: Network,
     training: TrainingImages,
     radiographs: Iterable[NDArray[np.uint8]],
@@ -56,7 +59,7 @@ def set_thresholds(
 
     Parameters
     ----------
-    locator, landmarks : Network
+    locator, sides, landmarks : Network
         Trained networks.
     training : TrainingImages
         Images that were used for training.
@@ -76,16 +79,18 @@ def set_thresholds(
     open_table = ReaderTable(
         min_score=min_score,
         min_sure_score=0.0,
+        min_side_confidence=0.0,
         min_confidence=0.0,
         max_shape_residual=np.inf,
         mean_shape=compute_mean_shape(training),
     )
-    reader = Reader(locator=locator, landmarks=landmarks, table=open_table)
+    reader = Reader(locator=locator, sides=sides, landmarks=landmarks, table=open_table)
     knees = [knee for pixels in radiographs for knee in read_knees(pixels.astype(np.float32), None, reader)]
     confidence = min(float(np.median(list(knee.confidence.values()))) for knee in knees)
     return ReaderTable(
         min_score=round(min_score, 4),
         min_sure_score=round(max(min_score, _SCORE_FACTOR * min(knee.score for knee in knees)), 4),
+        min_side_confidence=_MIN_SIDE_CONFIDENCE,
         min_confidence=round(_CONFIDENCE_FACTOR * confidence, 4),
         max_shape_residual=round(_RESIDUAL_FACTOR * max(knee.shape_residual for knee in knees), 4),
         mean_shape=open_table.mean_shape,

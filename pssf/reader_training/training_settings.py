@@ -9,7 +9,7 @@ RECIPES = ("none", "mild", "strong")
 
 @dataclass(frozen=True, kw_only=True)
 class ReaderTrainingSettings:
-    """Settings for the training of the two networks of the reader.
+    """Settings for the training of the networks of the reader.
 
     Parameters
     ----------
@@ -21,6 +21,8 @@ class ReaderTrainingSettings:
         Number of training steps of the network that finds landmarks and masks.
     locator_steps : int, default 3000
         Number of training steps of the network that finds knees.
+    side_steps : int, default 4200
+        Number of training steps of the network that tells right from left knees.
     batch : int, default 8
         Number of images per step.
     learning_rate : float, default 0.004
@@ -41,6 +43,7 @@ class ReaderTrainingSettings:
     seed: int = 0
     landmark_steps: int = 6000
     locator_steps: int = 3000
+    side_steps: int = 4200
     batch: int = 8
     learning_rate: float = 4e-3
     crop_px: int = 192
@@ -52,7 +55,7 @@ class ReaderTrainingSettings:
     def __post_init__(self) -> None:
         require_integer("images", self.images, 20, 10_000_000, "")
         require_integer("seed", self.seed, 0, 2**63 - 1, "")
-        for name in ("landmark_steps", "locator_steps"):
+        for name in ("landmark_steps", "locator_steps", "side_steps"):
             require_integer(name, getattr(self, name), 1, 10_000_000, "")
         require_integer("batch", self.batch, 2, 1024, "")
         require_in_range("learning_rate", self.learning_rate, 1e-6, 1.0, "")
