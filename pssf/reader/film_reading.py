@@ -45,11 +45,23 @@ class FilmReading(tuple[KneeReading, ...]):
         return tuple(self), self.file, self.pixels
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one table row per knee, or one row with the status "no knee"."""
+        """Make table rows.
+
+        Returns
+        -------
+        list of dict
+            One row per knee, or one row with the status "no knee".
+        """
         return make_rows(self.file, self)
 
     def draw(self) -> NDArray[np.uint8]:
-        """Return the radiograph with landmarks and masks, (rows, cols, 3) uint8; refused knees have red landmarks."""
+        """Draw landmarks and masks over the radiograph.
+
+        Returns
+        -------
+        (rows, cols, 3) uint8 array
+            Picture; refused knees have red landmarks.
+        """
         return draw_overlay(self.pixels, self)
 
     def _repr_png_(self) -> bytes:

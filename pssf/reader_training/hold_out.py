@@ -41,7 +41,13 @@ class HoldOutErrors:
     dice: dict[str, float]
 
     def rows(self) -> list[dict[str, Any]]:
-        """Return one table row per error, with the columns error, of and value."""
+        """Make table rows.
+
+        Returns
+        -------
+        list of dict
+            One row per error, with the columns error, of and value.
+        """
         return [
             {"error": error, "of": name, "value": round(value, 4)}
             for error, named in vars(self).items()
