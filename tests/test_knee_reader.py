@@ -213,7 +213,6 @@ def make_reader(**thresholds):
 
     table = {
         "min_score": 0.3,
-        "min_sure_score": 0.3,
         "min_side_confidence": 0.6,
         "min_confidence": 0.3,
         "max_shape_residual": 0.05,
@@ -252,7 +251,6 @@ def test_reading_returns_side_landmarks_and_lengths_of_the_knee(side):
     [
         ({"max_shape_residual": -1.0}, "shape"),
         ({"min_confidence": 1.1}, "confidence"),
-        ({"min_sure_score": 1.1}, "score of the knee"),
         ({"min_side_confidence": 1.1}, "probability of the side"),
     ],
 )
@@ -491,7 +489,7 @@ def test_unknown_pixel_size_follows_from_the_plateau():
     [
         ("no knee", "right", 1, {"min_score": 1.1}),
         ("wrong side", "left", 1, {}),
-        ("low score", "right", 1, {"min_sure_score": 1.1}),
+        ("low score", "right", 1, {"min_confidence": 1.1}),
         ("leaves image", "right", 320, {}),
     ],
 )

@@ -186,7 +186,7 @@ def _read_knee(
         score=knee.score,
         side_confidence=side_confidence,
         shape_residual=residual,
-        refusal=_find_refusal(knee, side_confidence, decoded, residual, reader.table),
+        refusal=_find_refusal(side_confidence, decoded, residual, reader.table),
     )
 
 
@@ -217,9 +217,7 @@ def compute_shape_residual(places_px: Array, frame: KneeFrame, mean_shape: Seque
     return float(np.sqrt((distance**2).sum(axis=1).mean()))
 
 
-def _find_refusal(
-    knee: KneeCandidate, side_confidence: float, decoded: DecodedHeatMaps, residual: float, table: ReaderTable
-) -> str:
+def _find_refusal(side_confidence: float, decoded: DecodedHeatMaps, residual: float, table: ReaderTable) -> str:
     """Return the reason why a reading must not be used, or an empty text."""
     if residual > table.max_shape_residual:
         return (
@@ -227,9 +225,7 @@ def _find_refusal(
         )
     least = float(np.median(decoded.mass))
     if least < table.min_confidence:
-        return f"median confidence of the landmarks is {least:.2f}, below {table.min_confidence:.2f}"
-    if knee.score < table.min_sure_score:
-        return f"score of the knee is {knee.score:.2f}, below {table.min_sure_score:.2f}"
+        return f"median confidence of the landmarks is {least:.4f}, below {table.min_confidence:.4f}"
     if side_confidence < table.min_side_confidence:
         return f"probability of the side is {side_confidence:.2f}, below {table.min_side_confidence:.2f}"
     return ""

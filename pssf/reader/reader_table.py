@@ -18,8 +18,6 @@ class ReaderTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     ----------
     min_score : float
         Least score of a knee, 0 to 1; nothing is reported for lower scores.
-    min_sure_score : float
-        Least score of a knee that is not refused.
     min_side_confidence : float
         Least probability of the side of a knee that is not refused, 0.5 to 1.
     min_confidence : float
@@ -31,7 +29,6 @@ class ReaderTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     min_score: float
-    min_sure_score: float
     min_side_confidence: float
     min_confidence: float
     max_shape_residual: float

@@ -10,22 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.checks import Array
-from ..reader.knee_finder import find_knees
 from ..reader.knee_reading import Reader, read_knees
 from ..reader.networks import Network
 from ..reader.reader_table import ReaderTable
 from .locator_batches import make_wrong_image
 from .training_images import STORED_PLATEAU_PX, STORED_PX, TrainingImages
 
-# Number of images that are wrong on purpose.
+# Number of images without a knee.
 _WRONG_IMAGES = 300
-# Fraction of these images in which nothing may be found, and range of the resulting threshold.
-_REJECTED = 0.99
-_MIN_SCORE_RANGE = (0.1, 0.5)
-# Thresholds of refusal relative to the most unusual simulated knee: patients vary more than simulated knees (assumed).
+# Least score of a place at which landmarks are looked for.
+_MIN_SCORE = 0.1
+# Fraction of wrong images that are refused by the confidence of their landmarks, unless their shape is refused.
+_REFUSED = 0.99
+# Largest shape residual relative to that of the most unusual simulated knee: patients vary more than simulated knees
+# (assumed).
 _RESIDUAL_FACTOR = 1.25
-_CONFIDENCE_FACTOR = 0.6
-_SCORE_FACTOR = 0.6
 # Least probability of a side. It has no effect on simulated knees, whose sides are nearly certain (assumed).
 _MIN_SIDE_CONFIDENCE = 0.62
 
@@ -74,29 +73,38 @@ def set_thresholds(
         Mean shape and thresholds.
     """
     rng = np.random.default_rng(seed)
-    wrong = [_score(make_wrong_image(training, locator.settings.crop_px, rng), locator) for _ in range(_WRONG_IMAGES)]
-    min_score = float(np.clip(np.quantile(wrong, _REJECTED), *_MIN_SCORE_RANGE))
+    mean_shape = compute_mean_shape(training)
     open_table = ReaderTable(
-        min_score=min_score,
-        min_sure_score=0.0,
+        min_score=_MIN_SCORE,
         min_side_confidence=0.0,
         min_confidence=0.0,
         max_shape_residual=np.inf,
-        mean_shape=compute_mean_shape(training),
+        mean_shape=mean_shape,
     )
     reader = Reader(locator=locator, sides=sides, landmarks=landmarks, table=open_table)
-    knees = [knee for pixels in radiographs for knee in read_knees(pixels.astype(np.float32), None, reader)]
-    confidence = min(float(np.median(list(knee.confidence.values()))) for knee in knees)
+    residuals, wrong_images = [], []
+    for pixels in radiographs:
+        residuals += [knee.shape_residual for knee in read_knees(pixels.astype(np.float32), None, reader)]
+        wrong_images.append(_turn(pixels, int(rng.integers(4))))
+    wrong_images += [make_wrong_image(training, locator.settings.crop_px, rng) for _ in range(_WRONG_IMAGES)]
+    max_residual = round(_RESIDUAL_FACTOR * max(residuals), 4)
+    confidences = [_find_confidence(image, reader, max_residual) for image in wrong_images]
     return ReaderTable(
-        min_score=round(min_score, 4),
-        min_sure_score=round(max(min_score, _SCORE_FACTOR * min(knee.score for knee in knees)), 4),
+        min_score=_MIN_SCORE,
         min_side_confidence=_MIN_SIDE_CONFIDENCE,
-        min_confidence=round(_CONFIDENCE_FACTOR * confidence, 4),
-        max_shape_residual=round(_RESIDUAL_FACTOR * max(knee.shape_residual for knee in knees), 4),
-        mean_shape=open_table.mean_shape,
+        min_confidence=round(float(np.quantile(confidences, _REFUSED)), 4),
+        max_shape_residual=max_residual,
+        mean_shape=mean_shape,
     )
 
 
-def _score(image: Array, locator: Network) -> float:
-    """Return the highest score of a knee on an image."""
-    return max((knee.score for knee in find_knees(image.astype(np.float32), locator, 0.0)), default=0.0)
+def _turn(pixels: NDArray[np.uint8], way: int) -> NDArray[np.uint8]:
+    """Return a radiograph upside down (0, 1: with or without mirroring) or on its side (2, 3)."""
+    return (pixels[::-1], pixels[::-1, ::-1], np.rot90(pixels), np.rot90(pixels, 3))[way]
+
+
+def _find_confidence(image: Array, reader: Reader, max_residual: float) -> float:
+    """Return the highest median confidence of knees with an allowed shape; 0 if there are none."""
+    knees = read_knees(np.ascontiguousarray(image, np.float32), None, reader)
+    allowed = [knee for knee in knees if knee.shape_residual <= max_residual]
+    return max((float(np.median(list(knee.confidence.values()))) for knee in allowed), default=0.0)
