@@ -21,8 +21,6 @@ from .side_decision import decide_sides
 LOCATOR_FILE = "locator.onnx"
 SIDE_FILE = "side.onnx"
 LANDMARK_FILE = "landmarks.onnx"
-# Number of times that the landmarks are found in the frame that the last landmarks define.
-_PASSES = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -165,15 +163,13 @@ def read_knees(image: Grey, pixel_mm: float | None, reader: Reader) -> tuple[Kne
 def _read_knee(
     image: Grey, knee: KneeCandidate, side_confidence: float, pixel_mm: float | None, reader: Reader
 ) -> KneeReading:
-    """Read one knee in the frame that its own landmarks define."""
-    settings = reader.landmarks.settings
-    frame = knee.frame
-    for _ in range(_PASSES):
-        crop = normalise_grey(*frame.cut_crop(image, settings.plateau_px, settings.crop_px))
-        heat_maps, logits = reader.landmarks.run(crop)
-        decoded = decode_heat_maps(heat_maps, settings.stride)
-        places, read_in = frame.map_to_image(decoded.places_px, settings.plateau_px, settings.crop_px), frame
-        frame = fit_frame(places[PLATEAU_EDGES], frame.side)
+    """Read one knee. A second reading in the frame of its own landmarks would not be more exact."""
+    settings, read_in = reader.landmarks.settings, knee.frame
+    crop = normalise_grey(*read_in.cut_crop(image, settings.plateau_px, settings.crop_px))
+    heat_maps, logits = reader.landmarks.run(crop)
+    decoded = decode_heat_maps(heat_maps, settings.stride)
+    places = read_in.map_to_image(decoded.places_px, settings.plateau_px, settings.crop_px)
+    frame = fit_frame(places[PLATEAU_EDGES], read_in.side)
     residual = compute_shape_residual(places, frame, reader.table.mean_shape)
     return KneeReading(
         side=frame.side,
