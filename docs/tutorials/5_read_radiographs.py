@@ -2,8 +2,8 @@ r"""
 5. Radiographs to a table
 =========================
 
-In this lesson you read a folder of radiographs and write landmarks and joint space widths to a CSV file. The reader has
-learnt from simulated radiographs alone. It is for research, not for diagnosis. It needs the extra ``reader``:
+In this lesson you read a folder of radiographs and write landmarks and joint space widths to a CSV file. The reader was
+trained on simulated radiographs alone. It is for research, not for diagnosis. It needs the extra ``reader``:
 ``pip install "pssf[reader]"``.
 """
 

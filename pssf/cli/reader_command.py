@@ -96,16 +96,14 @@ def _write_agreement(readings: "dict[str, FilmReading]", annotated: "list[Landma
     """Compare readings with annotations, and write and print the agreement."""
     from ..core.checks import InputError
     from ..io.cohort_records import write_csv
-    from ..reader.landmark_agreement import compare_landmarks, summarise_agreement
+    from ..reader.landmark_agreement import compare_landmarks, select_annotated_knee, summarise_agreement
 
     matched = [annotation for annotation in annotated if annotation.file in readings]
     if not matched:
         raise InputError(f"annotated files must include a radiograph that was read, got {annotated[0].file} and others")
     rows = []
     for annotation in matched:
-        knees = readings[annotation.file]
-        # On a radiograph of both knees, the annotated side is compared; a single knee may have the wrong side.
-        knee = next((one for one in knees if one.side == annotation.side), knees[0] if len(knees) == 1 else None)
+        knee = select_annotated_knee(readings[annotation.file], annotation.side)
         rows.append(compare_landmarks(knee, annotation.landmarks_mm, annotation.side))
     grades = [annotation.grade for annotation in matched]
     named = [{"file": one.file, "kl": one.grade, **row} for one, row in zip(matched, rows, strict=True)]

@@ -23,6 +23,24 @@ _LIMITS_MM = (1.0, 1.5, 2.5)
 _NORMAL, _SEVERE = (0,), (3, 4)
 
 
+def select_annotated_knee(knees: Sequence[KneeReading], side: str) -> KneeReading | None:
+    """Select the knee that was annotated.
+
+    Parameters
+    ----------
+    knees : sequence of KneeReading
+        Readings of one radiograph.
+    side : {"right", "left"}
+        Side of the annotated knee.
+
+    Returns
+    -------
+    KneeReading or None
+        The knee of this side. A single knee is compared even if the reader has taken it for the other side.
+    """
+    return next((one for one in knees if one.side == side), knees[0] if len(knees) == 1 else None)
+
+
 def compare_landmarks(reading: KneeReading | None, landmarks_mm: Array, side: str) -> Row:
     """Compare the reading of one radiograph with its annotation.
 

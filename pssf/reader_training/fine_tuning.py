@@ -23,11 +23,8 @@ from ..reader.reader_table import TABLE_FILE
 from .grey_randomisation import build_grey_randomisation
 from .hold_out import predict_places
 from .landmark_batches import make_landmark_batch
-from .losses import compute_landmark_loss
-from .reader_export import export_network
-from .reader_maker import SETTINGS_FILE, Report
+from .reader_maker import SETTINGS_FILE, Report, compute_batch_loss, train_and_export
 from .training_images import TrainingImages, collect_training_images, prepare_image
-from .training_loop import train_network
 from .training_settings import FineTuningSettings
 from .unet import ReaderUNet
 
@@ -97,11 +94,8 @@ def fine_tune_reader(
     images, subjects, files = _read_knees(films, points, present)
     kept = choose_kept_subjects(subjects, settings.seed)
     make_folder(folder)
-    claimed = {name: hash_file(name) for name in [*files, path]}
-    claim_folder(
-        folder / SETTINGS_FILE,
-        asdict(settings) | {"sha256": sorted(claimed.values()), "pssf": version("pssf")},
-    )
+    hashes = sorted(hash_file(name) for name in (*files, path))
+    claim_folder(folder / SETTINGS_FILE, asdict(settings) | {"sha256": hashes, "pssf": version("pssf")})
     network = load_exported_network(path, present)
     crop_px, plateau_px = present.settings.crop_px, present.settings.plateau_px
     before = _measure_share(network, images, kept, present)
@@ -110,19 +104,12 @@ def fine_tune_reader(
     def compute_loss(net: nn.Module, rng: np.random.Generator) -> Tensor:
         chosen = rng.choice(used, size=settings.batch)
         made = make_landmark_batch(images, chosen, crop_px=crop_px, plateau_px=plateau_px, randomise_grey=randomise)
-        heat_maps, masks = net(made.image)
-        return compute_landmark_loss(heat_maps, masks, made.places_px, made.visible, made.bones, made.inside)
+        return compute_batch_loss(net, made)
 
-    train_network(
-        network,
-        compute_loss,
-        steps=settings.steps,
-        learning_rate=settings.learning_rate,
-        seed=settings.seed,
-        checkpoint=folder / "landmarks.pt",
-        report=lambda done, of, loss: report("landmarks", done, of, loss),
+    written = folder / LANDMARK_FILE
+    train_and_export(
+        network, compute_loss, settings, present.settings, written, report, steps=settings.steps, seed=settings.seed
     )
-    export_network(network, present.settings, folder / LANDMARK_FILE)
     for name in (LOCATOR_FILE, SIDE_FILE, TABLE_FILE):
         copy_file(networks / name, folder / name)
     errors = FineTuningErrors(

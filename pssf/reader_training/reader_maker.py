@@ -19,7 +19,7 @@ from ..reader.networks import NetworkSettings, load_network
 from ..reader.reader_table import TABLE_FILE, ReaderTable
 from .grey_randomisation import build_grey_randomisation
 from .hold_out import HoldOutErrors, measure_hold_out
-from .landmark_batches import make_landmark_batch
+from .landmark_batches import LandmarkBatch, make_landmark_batch
 from .locator_batches import EDGE_CHANNELS, make_locator_batch
 from .losses import compute_edge_loss, compute_landmark_loss
 from .reader_export import export_network
@@ -27,7 +27,7 @@ from .reader_thresholds import set_thresholds
 from .side_network import SideNetwork, compute_side_loss
 from .training_images import BONES, TrainingImages, read_displays, read_training_images
 from .training_loop import ComputeLoss, train_network
-from .training_settings import ReaderTrainingSettings
+from .training_settings import FineTuningSettings, ReaderTrainingSettings
 from .unet import STRIDE, ReaderUNet
 
 SETTINGS_FILE = "training.json"
@@ -44,6 +44,25 @@ _SIDE_BATCH = 16
 _LOCATOR_BIAS = -0.4
 
 Report = Callable[[str, int, int, float], None]
+
+
+def compute_batch_loss(network: nn.Module, made: LandmarkBatch) -> Tensor:
+    """Compute the loss of the landmark network on a batch.
+
+    Parameters
+    ----------
+    network : torch.nn.Module
+        Landmark network.
+    made : LandmarkBatch
+        Batch with its labels.
+
+    Returns
+    -------
+    scalar tensor
+        Loss.
+    """
+    heat_maps, masks = network(made.image)
+    return compute_landmark_loss(heat_maps, masks, made.places_px, made.visible, made.bones, made.inside)
 
 
 def train_landmark_network(
@@ -76,8 +95,7 @@ def train_landmark_network(
         made = make_landmark_batch(
             images, chosen, crop_px=settings.crop_px, plateau_px=settings.plateau_px, randomise_grey=randomise
         )
-        heat_maps, masks = net(made.image)
-        return compute_landmark_loss(heat_maps, masks, made.places_px, made.visible, made.bones, made.inside)
+        return compute_batch_loss(net, made)
 
     described = NetworkSettings(
         crop_px=settings.crop_px,
@@ -87,7 +105,7 @@ def train_landmark_network(
         masks=BONES,
     )
     path, steps = folder / LANDMARK_FILE, settings.landmark_steps
-    _train_and_export(network, compute_loss, settings, described, path, report, steps=steps, seed=settings.seed)
+    train_and_export(network, compute_loss, settings, described, path, report, steps=steps, seed=settings.seed)
     return network
 
 
@@ -121,7 +139,7 @@ def train_locator(images: TrainingImages, settings: ReaderTrainingSettings, fold
 
     described = NetworkSettings(crop_px=_LOCATOR_PX, plateau_px=0.0, stride=STRIDE, landmarks=EDGE_CHANNELS, masks=())
     path, steps = folder / LOCATOR_FILE, settings.locator_steps
-    _train_and_export(network, compute_loss, settings, described, path, report, steps=steps, seed=settings.seed + 1)
+    train_and_export(network, compute_loss, settings, described, path, report, steps=steps, seed=settings.seed + 1)
     return network
 
 
@@ -158,14 +176,14 @@ def train_side_network(
 
     described = NetworkSettings(crop_px=_SIDE_PX, plateau_px=_SIDE_PLATEAU_PX, stride=1, landmarks=("right",), masks=())
     path, steps = folder / SIDE_FILE, settings.side_steps
-    _train_and_export(network, compute_loss, settings, described, path, report, steps=steps, seed=settings.seed + 2)
+    train_and_export(network, compute_loss, settings, described, path, report, steps=steps, seed=settings.seed + 2)
     return network
 
 
-def _train_and_export(
+def train_and_export(
     network: ReaderUNet | SideNetwork,
     compute_loss: ComputeLoss,
-    settings: ReaderTrainingSettings,
+    settings: ReaderTrainingSettings | FineTuningSettings,
     described: NetworkSettings,
     path: Path,
     report: Report,
@@ -173,7 +191,27 @@ def _train_and_export(
     steps: int,
     seed: int,
 ) -> None:
-    """Train a network with a checkpoint beside its file, and write it."""
+    """Train a network with a checkpoint beside its file, and write it.
+
+    Parameters
+    ----------
+    network : ReaderUNet or SideNetwork
+        Network; it is changed in place.
+    compute_loss : callable
+        Function of the network and a random generator that makes a batch and returns its loss.
+    settings : ReaderTrainingSettings or FineTuningSettings
+        Settings with the learning rate.
+    described : NetworkSettings
+        Settings that are stored in the file.
+    path : Path
+        File to write.
+    report : callable
+        Function of the name of the network, finished steps, all steps and mean loss.
+    steps : int
+        Number of steps.
+    seed : int
+        Seed of all random numbers.
+    """
     train_network(
         network,
         compute_loss,

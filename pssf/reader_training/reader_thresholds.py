@@ -5,11 +5,11 @@ purpose: knees upside down, on their side or outside the image, and things that 
 """
 
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.checks import Array
 from ..reader.knee_reading import Reader, read_knees
 from ..reader.networks import Network
 from ..reader.reader_table import ReaderTable
@@ -82,7 +82,8 @@ def set_thresholds(
         mean_shape=mean_shape,
     )
     reader = Reader(locator=locator, sides=sides, landmarks=landmarks, table=open_table)
-    residuals, wrong_images = [], []
+    residuals: list[float] = []
+    wrong_images: list[NDArray[Any]] = []
     for pixels in radiographs:
         residuals += [knee.shape_residual for knee in read_knees(pixels.astype(np.float32), None, reader)]
         wrong_images.append(_turn(pixels, int(rng.integers(4))))
@@ -103,7 +104,7 @@ def _turn(pixels: NDArray[np.uint8], way: int) -> NDArray[np.uint8]:
     return (pixels[::-1], pixels[::-1, ::-1], np.rot90(pixels), np.rot90(pixels, 3))[way]
 
 
-def _find_confidence(image: Array, reader: Reader, max_residual: float) -> float:
+def _find_confidence(image: NDArray[Any], reader: Reader, max_residual: float) -> float:
     """Return the highest median confidence of knees with an allowed shape; 0 if there are none."""
     knees = read_knees(np.ascontiguousarray(image, np.float32), None, reader)
     allowed = [knee for knee in knees if knee.shape_residual <= max_residual]

@@ -23,7 +23,7 @@ from pssf.io.patients.landmark_annotations import LandmarkAnnotation, read_landm
 from pssf.io.run_record import start_run_record
 from pssf.reader import Reader, load_reader, read
 from pssf.reader.knee_reading import LANDMARK_FILE
-from pssf.reader.landmark_agreement import compare_landmarks, summarise_agreement
+from pssf.reader.landmark_agreement import compare_landmarks, select_annotated_knee, summarise_agreement
 from pssf.reader.networks import load_network
 from pssf.reader_training.hold_out import measure_hold_out
 from pssf.reader_training.reader_maker import train_landmark_network
@@ -70,8 +70,7 @@ def measure_films(reader: Reader, films: Path, annotations: list[LandmarkAnnotat
     """Read annotated radiographs, and summarise the agreement."""
     rows = []
     for annotation in annotations:
-        knees = read(films / annotation.file, reader=reader)
-        knee = next((one for one in knees if one.side == annotation.side), knees[0] if len(knees) == 1 else None)
+        knee = select_annotated_knee(read(films / annotation.file, reader=reader), annotation.side)
         rows.append(compare_landmarks(knee, annotation.landmarks_mm, annotation.side))
     summary = summarise_agreement(rows, [annotation.grade for annotation in annotations])[0]
     return {name: summary.get(name) for name in _KEPT}
