@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 import pssf
-from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS, FEMORAL_LANDMARKS
+from pssf.core.label_names import CONTOUR_LANDMARKS, FEMORAL_LANDMARKS
 from pssf.io.pictures import write_image_row
 
 FEMUR, TIBIA = (90, 200, 250), (255, 200, 60)

@@ -69,7 +69,8 @@ if TYPE_CHECKING:
         check,
         trace,
     )
-    from .reader import FilmReading, KneeReading, read
+    from .reader.film_reading import FilmReading, read
+    from .reader.knee_reading import KneeReading
     from .simulation import KernelNotice, simulate
     from .study.prediction.own_images import features
 
@@ -97,7 +98,8 @@ _WHERE = {
     "model.protocol": ("Protocol", "load_protocol"),
     "model.radiograph": ("Radiograph", "Truth"),
     "raycast": ("Paths", "Report", "check", "trace"),
-    "reader": ("FilmReading", "KneeReading", "read"),
+    "reader.film_reading": ("FilmReading", "read"),
+    "reader.knee_reading": ("KneeReading",),
     "simulation": ("KernelNotice", "simulate"),
     "study.prediction.own_images": ("features",),
 }

@@ -8,8 +8,8 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import pssf
-from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from pssf.anatomy.posture.knee_assembly import load_jsw_protocol
+from pssf.core.label_names import CONTOUR_LANDMARKS
 from pssf.data.analysis.landmark_table import load_landmark_reference
 from pssf.data.anatomy.anatomy_tables import load_anatomy_tables
 from pssf.model.sampling.knee_sampling import load_knee_distributions, sample_knees

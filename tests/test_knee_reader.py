@@ -13,19 +13,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from pssf.cli.reader_command import landmarks
 from pssf.core.checks import InputError
+from pssf.core.label_names import CONTOUR_LANDMARKS
 from pssf.data.analysis.landmark_table import load_landmark_reference
 from pssf.io.landmark_files import read_pts, write_pts
 from pssf.io.patients.landmark_annotations import read_landmark_annotations
 from pssf.io.pictures import write_image_row
 from pssf.radiomics.localisation.region_placement import find_polarity, locate_joint_by_reader, locate_region
-from pssf.reader import Reader, load_reader, read
 from pssf.reader.film_overlay import draw_overlay
+from pssf.reader.film_reading import read
 from pssf.reader.joint_measures import measure_joint
 from pssf.reader.knee_finder import KneeCandidate, find_knees
 from pssf.reader.knee_frame import KneeFrame, fit_frame, fit_similarity, normalise_grey
+from pssf.reader.knee_reading import Reader, load_reader
 from pssf.reader.landmark_agreement import compare_landmarks, summarise_agreement
 from pssf.reader.networks import Network, NetworkSettings, decode_heat_maps, load_network
 from pssf.reader.reader_table import ReaderTable
@@ -381,7 +382,7 @@ def test_command_writes_tables_points_and_pictures(tmp_path, monkeypatch, capsys
     marks.write_text(
         ",".join(columns) + "\n" + ",".join(["a.png", "L", "0", *map(str, places.ravel())]) + "\n", encoding="utf-8"
     )
-    monkeypatch.setattr("pssf.reader.load_reader", lambda folder: make_reader())
+    monkeypatch.setattr("pssf.reader.knee_reading.load_reader", lambda folder: make_reader())
     landmarks(films=[film, other], out=tmp_path / "out", pixel_mm=0.6, compare=marks)
     printed = capsys.readouterr()
     assert "1 of 2 knees read" in printed.out

@@ -8,8 +8,9 @@ from numpy.testing import assert_allclose
 
 import pssf
 from pssf.anatomy.meshing.solids import build_height_field, extract_mesh, find_edges
-from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS, FEMORAL_LANDMARKS, find_contour_landmarks
+from pssf.anatomy.outlines.contour_landmarks import find_contour_landmarks
 from pssf.anatomy.outlines.projected_contours import compute_outline_rows, rotate_px
+from pssf.core.label_names import CONTOUR_LANDMARKS, FEMORAL_LANDMARKS
 from pssf.data.analysis.landmark_table import load_landmark_reference
 from pssf.geometry.mesh import Mesh
 from pssf.geometry.view import (
@@ -92,11 +93,11 @@ def test_an_osteophyte_moves_the_edge_landmark_beyond_the_plateau(landmarks, kne
     assert -5.0 < bare < 0.0
 
 
-def build_dished_joint(rim_mm, tilt=0.0):
+def build_dished_joint(rim_mm, tilt=0.0, spine_mm=9.0):
     """Build a tibial plateau 76 mm wide, concave from front to back, with two spines; and a femur with a notch."""
     x, y = np.linspace(-38, 38, 305), np.linspace(-24, 24, 97)
     gx, gy = np.meshgrid(x, y, indexing="ij")
-    spines = 9 * np.exp(-(((np.abs(gx) - 8) / 2.5) ** 2) - (gy / 8) ** 2)
+    spines = spine_mm * np.exp(-(((np.abs(gx) - 8) / 2.5) ** 2) - (gy / 8) ** 2)
     tibia = extract_mesh(build_height_field(x, y, rim_mm * (gy / 24) ** 2 + tilt * gy + spines, -40.0, "tibia"))
     roof = 18 * np.exp(-((gx / 9) ** 2)) + ((gx**2) / 38**2 - 0.3) ** 2 * 6
     slab = extract_mesh(build_height_field(x, y, 0 * gx - roof, -60.0, "femur"))
@@ -117,6 +118,18 @@ def test_points_beside_the_spines_are_on_the_floor_or_the_contour():
 def test_the_floor_of_a_tilted_plateau_is_at_a_quarter_of_its_depth():
     landmarks = find_contour_landmarks(*build_dished_joint(0.0, tilt=-0.05), FAR, 1)
     assert_allclose((200 - landmarks["tibia_medial_1"][0]) * 0.5, -0.6, atol=0.05)
+
+
+@pytest.mark.parametrize("tilt_deg", [-20.0, 20.0])
+def test_spines_of_a_plateau_that_is_tilted_in_the_image_are_its_peaks(tilt_deg):
+    femur, tibia = build_dished_joint(0.0, spine_mm=2.5)
+    cosine, sine = np.cos(np.deg2rad(tilt_deg)), np.sin(np.deg2rad(tilt_deg))
+    turn = np.array([[cosine, 0.0, -sine], [0.0, 1.0, 0.0], [sine, 0.0, cosine]])
+    landmarks = find_contour_landmarks(femur, Mesh(tibia.vertices @ turn.T, tibia.faces), FAR, 1)
+    for name, x in (("lateral_spine", -8.0), ("medial_spine", 8.0)):
+        row, col = landmarks[name]
+        # The highest point of the image within the search range would be up to 8 mm away.
+        assert_allclose(np.array([(col - 200) * 0.5, 0.0, (200 - row) * 0.5]) @ turn, (x, 0.0, 2.5), atol=0.6)
 
 
 def test_plateau_landmarks_are_at_fixed_fractions_from_edge_to_spine():

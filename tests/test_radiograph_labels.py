@@ -14,8 +14,8 @@ import pssf
 from pssf import anatomy, raycast
 from pssf.anatomy.labels.osteophyte_faces import _split_faces_by_site
 from pssf.anatomy.labels.radiograph_labels import _split_by_site
-from pssf.anatomy.outlines.contour_landmarks import TIBIAL_LANDMARKS
 from pssf.anatomy.outlines.projected_contours import COMPARTMENT_RANGE
+from pssf.core.label_names import TIBIAL_LANDMARKS
 from pssf.geometry.mesh import Mesh
 from pssf.geometry.view import magnification, project_points, resolve_view
 

@@ -11,9 +11,9 @@ import pssf
 from pssf import InputError
 from pssf.anatomy.bones import small_bones
 from pssf.anatomy.meshing.solids import extract_mesh
-from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from pssf.anatomy.posture.plateau_margins import find_plateau_margins
 from pssf.anatomy.soft_tissue.limb_bend import build_limb_bend, shear_angle_deg
+from pssf.core.label_names import CONTOUR_LANDMARKS
 from pssf.data.analysis.reference_table import load_reference_tables
 from pssf.data.anatomy.anatomy_tables import load_anatomy_tables
 from pssf.data.imaging.dicom_codes import load_dicom_tables

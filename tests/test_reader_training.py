@@ -9,8 +9,8 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("monai")
 pytest.importorskip("kornia")
 
-from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS  # noqa: E402
 from pssf.core.checks import InputError  # noqa: E402
+from pssf.core.label_names import CONTOUR_LANDMARKS  # noqa: E402
 from pssf.io.landmark_files import write_pts  # noqa: E402
 from pssf.io.patients.patient_list import Film  # noqa: E402
 from pssf.io.pictures import write_image_row  # noqa: E402
@@ -22,6 +22,7 @@ from pssf.reader_training import (  # noqa: E402
     landmark_batches,
     locator_batches,
     losses,
+    random_deformation,
     reader_maker,
     training_images,
 )
@@ -69,10 +70,16 @@ def images():
     )
 
 
-def test_landmarks_follow_the_random_frame(images):
+@pytest.mark.parametrize("deformation_sd", [0.0, 0.03])
+def test_landmarks_follow_the_random_frame_and_deformation(images, deformation_sd):
     torch.manual_seed(1)
     made = landmark_batches.make_landmark_batch(
-        images, np.arange(6), crop_px=192, plateau_px=112.0, randomise_grey=torch.nn.Identity()
+        images,
+        np.arange(6),
+        crop_px=192,
+        plateau_px=112.0,
+        randomise_grey=torch.nn.Identity(),
+        deformation_sd=deformation_sd,
     )
     seen = 0
     for image, places, visible in zip(made.image[:, 0], made.places_px, made.visible, strict=True):
@@ -80,6 +87,18 @@ def test_landmarks_follow_the_random_frame(images):
             assert image[row, col] > image.median() + 1
             seen += 1
     assert seen > 40
+
+
+def test_undone_displacements_lead_back_to_the_points():
+    torch.manual_seed(4)
+    moved = random_deformation.draw_displacements(5, 192, 8.0)
+    matrix = 1.8 * torch.linalg.qr(torch.randn(5, 2, 2))[0]
+    pixels = torch.randint(0, 192, (5, 40, 2))
+    steps = torch.stack([moved[k][:, pixels[k, :, 0], pixels[k, :, 1]].T for k in range(5)])
+    target = torch.einsum("bij,bkj->bki", matrix, pixels - 95.5) + steps
+    np.testing.assert_allclose(random_deformation.undo_displacements(target, moved, matrix), pixels - 95.5, atol=0.01)
+    # The random factor and the interpolation between the points of the grid reduce the standard deviation.
+    assert 3.0 < steps.std() < 8.0
 
 
 def test_crop_without_randomness_has_the_stored_scale(images):

@@ -12,7 +12,8 @@ from .shared_options import Out, Processes, Seed
 if TYPE_CHECKING:
     from ..io.patients.landmark_annotations import LandmarkAnnotation
     from ..io.patients.patient_radiographs import Film
-    from ..reader import FilmReading, Reader
+    from ..reader.film_reading import FilmReading
+    from ..reader.knee_reading import Reader
     from ..reader_training.hold_out import HoldOutErrors
     from ..reader_training.training_settings import FineTuningSettings
 
@@ -54,7 +55,7 @@ def landmarks(
     from ..core.progress_display import show_progress_bar
     from ..io.cohort_records import write_csv, write_json
     from ..io.run_record import start_run_record
-    from ..reader import load_reader
+    from ..reader.knee_reading import load_reader
 
     record, reader = start_run_record(), load_reader(networks)
     listed = [film for path in films for film in collect_films(path, "", pixel_mm)]
@@ -86,7 +87,7 @@ def landmarks(
 
 def _read_annotations(path: Path | None) -> "list[LandmarkAnnotation]":
     """Read annotated landmarks, or return none without a path."""
-    from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
+    from ..core.label_names import CONTOUR_LANDMARKS
     from ..io.patients.landmark_annotations import read_landmark_annotations
 
     return [] if path is None else read_landmark_annotations(path, CONTOUR_LANDMARKS)
@@ -119,7 +120,7 @@ def _read_film(film: "Film", reader: "Reader", out: Path, stem: str) -> "FilmRea
     """Read one radiograph, and write its landmark files and picture."""
     from ..io.landmark_files import write_pts
     from ..io.pictures import write_image_row
-    from ..reader import read
+    from ..reader.film_reading import read
 
     knees = read(film.file, pixel_mm=film.pixel_mm, reader=reader)
     for knee in knees:

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..core.checks import InputError
+from ..core.label_names import CONTOUR_LANDMARKS
 from ..detector.display_rendering import render_for_display
 from ..io.atomic_write import make_folder
 from ..io.cohort_records import read_csv, write_csv

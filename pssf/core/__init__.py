@@ -2,6 +2,7 @@
 
 checks             validation of input; `InputError` names the value and the allowed values
 keyword_arguments  rejection of unknown keyword arguments, and replacement of former names
+label_names        names of the contour landmarks and positions of JSW(x)
 resample           block averages of images, and interpolation back to full resolution
 stage_timer        wall time, rate and remaining time of the stages of a run
 progress_display   progress bar with rate and remaining time

@@ -11,7 +11,9 @@ from ..core.checks import InputError
 
 PACKAGE_ROOT = Path(__file__).resolve().parents[1]
 # Suffixes of the files that are hashed; other files in the package folder are ignored.
-HASHED_SUFFIXES = (".py", ".toml", ".j2", ".html", ".js", ".css", ".svg", ".npz")
+HASHED_SUFFIXES = (".py", ".toml", ".j2", ".html", ".js", ".css", ".svg", ".npz", ".json", ".onnx")
+# Folder of the networks that read finished radiographs, which do not affect pixels.
+READER_FOLDER = "data/reader"
 # Reasons why the pixels of a radiograph do not depend on a table, keyed by the table and the module that reads it.
 # Pixels may depend on all other tables.
 TABLES_NOT_AFFECTING_PIXELS = {
@@ -45,11 +47,15 @@ def list_pixel_data_files() -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        Paths relative to the package: all files except `TABLES_NOT_AFFECTING_PIXELS`.
+        Paths relative to the package: all files except `TABLES_NOT_AFFECTING_PIXELS` and the networks of the reader.
     """
     apart = {f"data/{name}" for names in TABLES_NOT_AFFECTING_PIXELS for name in names}
-    every = [path for path in (PACKAGE_ROOT / "data").rglob("*") if path.suffix in HASHED_SUFFIXES]
-    return tuple(sorted({path.relative_to(PACKAGE_ROOT).as_posix() for path in every} - apart))
+    every = {
+        path.relative_to(PACKAGE_ROOT).as_posix()
+        for path in (PACKAGE_ROOT / "data").rglob("*")
+        if path.suffix in HASHED_SUFFIXES
+    }
+    return tuple(sorted(path for path in every - apart if not path.startswith(f"{READER_FOLDER}/")))
 
 
 @cache

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..anatomy.labels.radiograph_labels import JSW_FRACTIONS
-from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS, FEMORAL_LANDMARKS, TIBIAL_LANDMARKS
 from ..core.checks import Array, InputError
+from ..core.label_names import CONTOUR_LANDMARKS, FEMORAL_LANDMARKS, JSW_FRACTIONS, TIBIAL_LANDMARKS
 
 # Positions at which the smallest joint space is searched for: distances from the femoral edge of the compartment, as
 # fractions of the femoral width (Tiulpin et al. 2019, as in `data/landmarks.toml`).

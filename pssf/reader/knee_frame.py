@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..core.checks import Array
+from ..core.label_names import CONTOUR_LANDMARKS
 
 Grey = NDArray[np.float32]
 # Indices of the lateral and the medial edge of the tibial plateau among the landmarks.

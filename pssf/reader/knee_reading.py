@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..core.checks import Array
+from ..core.label_names import CONTOUR_LANDMARKS
 from .joint_measures import JointMeasures, measure_joint
 from .knee_finder import KneeCandidate, find_knees
 from .knee_frame import PLATEAU_EDGES, Grey, KneeFrame, fit_frame, fit_similarity, normalise_grey

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..core.checks import Array
+from ..core.label_names import CONTOUR_LANDMARKS
 from .joint_measures import measure_joint
 from .knee_frame import fit_similarity
 from .knee_reading import KneeReading

@@ -3,6 +3,7 @@
 training_settings   settings
 training_images     images of a data set with landmarks and masks
 grey_randomisation  random changes of grey values
+random_deformation  random smooth deformations of the bones
 landmark_batches    random batches of crops around a knee
 locator_batches     random batches of whole images, with and without knees
 unet                network

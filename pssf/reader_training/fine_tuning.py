@@ -9,8 +9,8 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..core.checks import InputError
+from ..core.label_names import CONTOUR_LANDMARKS
 from ..io.atomic_write import copy_file, make_folder
 from ..io.cohort_records import claim_folder, hash_file, write_csv
 from ..io.landmark_files import read_pts

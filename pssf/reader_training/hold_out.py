@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..core.checks import Array
+from ..core.label_names import CONTOUR_LANDMARKS
 from ..geometry.mesh import Indices
 from ..reader.joint_measures import measure_joint
 from .landmark_batches import LandmarkBatch, make_landmark_batch

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from ..reader.knee_frame import MIN_GREY_SD
+from .random_deformation import draw_displacements, undo_displacements
 from .training_images import BONES, STORED_PLATEAU_PX, STORED_PX, TrainingImages
 from .unet import STRIDE
 
@@ -50,6 +51,7 @@ def make_landmark_batch(
     crop_px: int,
     plateau_px: float,
     randomise_grey: nn.Module | None,
+    deformation_sd: float = 0.0,
 ) -> LandmarkBatch:
     """Make a batch in random frames, or in the exact frames of the knees if grey values are not randomised.
 
@@ -65,6 +67,8 @@ def make_landmark_batch(
         Mean width of the plateau, in pixels.
     randomise_grey : torch.nn.Module or None
         Random change of grey values; None makes a batch without any randomness.
+    deformation_sd : float, default 0.0
+        Standard deviation of random displacements, as a fraction of the plateau width.
 
     Returns
     -------
@@ -77,14 +81,15 @@ def make_landmark_batch(
     axis = torch.arange(crop_px, dtype=torch.float32) - middle
     steps = torch.stack(torch.meshgrid(axis, axis, indexing="ij"), dim=-1)
     source = torch.einsum("bij,hwj->bhwi", matrix, steps) + shift[:, None, None]
-    grid = source.flip(-1) / stored_middle
+    moved = draw_displacements(count, crop_px, deformation_sd * STORED_PLATEAU_PX)
+    grid = (source + moved.movedim(1, -1)).flip(-1) / stored_middle
     stored = torch.from_numpy(images.crops[chosen]).float()[:, None] / 255
     coded = torch.from_numpy(images.coded_masks[chosen])
     bits = torch.stack([((coded >> bit) & 1).float() for bit in (*range(len(BONES)), 7)], dim=1)
     grey = functional.grid_sample(stored, grid, align_corners=True)
     masks = functional.grid_sample(bits, grid, align_corners=True)
     landmarks = torch.from_numpy(images.landmarks_px[chosen]) - stored_middle - shift[:, None]
-    places = torch.einsum("bij,bkj->bki", torch.linalg.inv(matrix), landmarks) + middle
+    places = undo_displacements(landmarks, moved, matrix) + middle
     inside = (masks[:, -1:] > 0.5).float()
     if randomise_grey is not None:
         inside = inside * _draw_image_edges(count, crop_px, plateau_px)

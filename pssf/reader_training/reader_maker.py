@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
+from ..core.label_names import CONTOUR_LANDMARKS
 from ..io.atomic_write import make_folder
 from ..io.cohort_records import claim_folder, hash_file, write_csv, write_json
 from ..io.dataset_files import SETTINGS_FILE as DATASET_FILE
@@ -93,7 +93,12 @@ def train_landmark_network(
     def compute_loss(net: nn.Module, rng: np.random.Generator) -> Tensor:
         chosen = rng.integers(len(images.crops), size=settings.batch)
         made = make_landmark_batch(
-            images, chosen, crop_px=settings.crop_px, plateau_px=settings.plateau_px, randomise_grey=randomise
+            images,
+            chosen,
+            crop_px=settings.crop_px,
+            plateau_px=settings.plateau_px,
+            randomise_grey=randomise,
+            deformation_sd=settings.deformation_sd,
         )
         return compute_batch_loss(net, made)
 
@@ -170,7 +175,12 @@ def train_side_network(
     def compute_loss(net: nn.Module, rng: np.random.Generator) -> Tensor:
         chosen = rng.integers(len(images.crops), size=_SIDE_BATCH)
         made = make_landmark_batch(
-            images, chosen, crop_px=_SIDE_PX, plateau_px=_SIDE_PLATEAU_PX, randomise_grey=randomise
+            images,
+            chosen,
+            crop_px=_SIDE_PX,
+            plateau_px=_SIDE_PLATEAU_PX,
+            randomise_grey=randomise,
+            deformation_sd=settings.deformation_sd,
         )
         return compute_side_loss(net, made.image)
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
 from ..core.checks import Array, InputError
+from ..core.label_names import CONTOUR_LANDMARKS
 from ..core.processes.parallel_map import map_in_parallel
 from ..dataset.coco_instances import decode_run_lengths
 from ..io.dataset_files import read_pixels, read_sample_labels

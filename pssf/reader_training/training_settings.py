@@ -35,6 +35,8 @@ class ReaderTrainingSettings:
         Number of feature maps at the highest resolution.
     randomisation : {"none", "mild", "strong"}, default "strong"
         Recipe for the random change of grey values.
+    deformation_sd : float, default 0.02
+        Standard deviation of random displacements of the image, as a fraction of the plateau width.
     threads : int, default 2
         Number of threads of PyTorch. The number changes the order of sums, and so the last digits of the networks.
     """
@@ -50,6 +52,7 @@ class ReaderTrainingSettings:
     plateau_px: float = 112.0
     width: int = 20
     randomisation: str = "strong"
+    deformation_sd: float = 0.02
     threads: int = 2
 
     def __post_init__(self) -> None:
@@ -62,6 +65,7 @@ class ReaderTrainingSettings:
         require_integer("crop_px", self.crop_px, 64, 1024, "pixels")
         require_in_range("plateau_px", self.plateau_px, 20.0, float(self.crop_px), "pixels")
         require_integer("width", self.width, 4, 256, "")
+        require_in_range("deformation_sd", self.deformation_sd, 0.0, 0.1, "plateau widths")
         require_integer("threads", self.threads, 1, 1024, "")
         require_choice("randomisation", self.randomisation, RECIPES)
 

@@ -16,13 +16,13 @@ import numpy as np
 import torch
 import typer
 
-from pssf.anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS
+from pssf.core.label_names import CONTOUR_LANDMARKS
 from pssf.io.atomic_write import make_folder
 from pssf.io.cohort_records import write_csv
 from pssf.io.patients.landmark_annotations import LandmarkAnnotation, read_landmark_annotations
 from pssf.io.run_record import start_run_record
-from pssf.reader import Reader, load_reader, read
-from pssf.reader.knee_reading import LANDMARK_FILE
+from pssf.reader.film_reading import read
+from pssf.reader.knee_reading import LANDMARK_FILE, Reader, load_reader
 from pssf.reader.landmark_agreement import compare_landmarks, select_annotated_knee, summarise_agreement
 from pssf.reader.networks import load_network
 from pssf.reader_training.hold_out import measure_hold_out

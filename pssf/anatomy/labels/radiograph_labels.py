@@ -7,6 +7,7 @@ from manifold3d import Manifold, OpType
 from scipy.spatial import cKDTree
 
 from ...core.checks import Array
+from ...core.label_names import JSW_FRACTIONS
 from ...data.table_records import Pair
 from ...geometry.mesh import Mesh
 from ...geometry.scene import Scene
@@ -25,11 +26,6 @@ from ..outlines.projected_contours import (
 from ..posture.knee_assembly import KneeAssembly
 from .osteophyte_faces import MIN_PROTRUSION_MM, find_owners, list_bones_with_osteophytes, select_raised_faces
 
-# Positions x at which JSW(x) is measured, as fractions of the femoral width from the medial edge (Neumann et al. 2009).
-# The femoral width corresponds to CFWDTH in the tables of the Osteoarthritis Initiative. It is measured between the
-# epicondyles, because osteophytes do not change their positions (assumed). With this width, the fractions cover the
-# range of the search for the minimum JSW.
-JSW_FRACTIONS = (0.15, 0.175, 0.2, 0.225, 0.25, 0.275, 0.3, 0.7, 0.725, 0.75, 0.775, 0.8, 0.825, 0.85, 0.875, 0.9)
 # Range in which JSW(x) is measured, as fractions of half the plateau width. The range includes the part of the femur
 # that overhangs the plateau edge.
 _JSW_FRACTION_RANGE = (0.2, 1.0)

@@ -10,7 +10,8 @@ size and the side of the knee therefore do not affect the result.
     the horizontal for both edges of the tibia, at 50 degrees for the lateral edge of the femur, and at 40 degrees for
     its medial edge. Among angles from 25 to 65 degrees, these two agree best with the annotations.
 ``*_spine``
-    Highest point of the contour on each side of the centre of the plateau.
+    Highest peak of the contour on each side of the centre of the plateau, perpendicular to the line through the two
+    edges of the tibia. A peak rises above its surroundings by at least 0.5 mm; without a peak, it is the highest point.
 ``between_spines``
     Point on the contour at a fixed fraction of the distance along x from the lateral to the medial spine, as in the
     annotations. The lowest point would be 1.1 mm further lateral, with twice the variation of the annotations.
@@ -36,27 +37,22 @@ variation. The lateral floor would be 2 mm lower than the lateral outline at poi
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import signal
 
 from ...core.checks import Array
+from ...core.label_names import CONTOUR_LANDMARKS
 from ...geometry.mesh import Indices, Mesh
 from ...geometry.view import View, project_points
 from ..meshing.solids import find_crossing_sides
 from .projected_contours import compute_outline_rows, rotate_px
 
-TIBIAL_LANDMARKS = (
-    "tibia_lateral_edge", "tibia_lateral_1", "tibia_lateral_2", "lateral_spine", "between_spines",
-    "medial_spine", "tibia_medial_2", "tibia_medial_1", "tibia_medial_edge",
-)  # fmt: skip
-FEMORAL_LANDMARKS = (
-    "femur_lateral_edge", "femur_lateral_condyle", "femur_lateral_notch", "notch_top",
-    "femur_medial_notch", "femur_medial_condyle", "femur_medial_edge",
-)  # fmt: skip
-CONTOUR_LANDMARKS = TIBIAL_LANDMARKS + FEMORAL_LANDMARKS
 # Positions of points 1 and 2 along x as fractions of the distance from edge to spine. The fractions are means of the
 # annotations of 150 knees with KL grade 0 (Tiulpin et al. 2019).
 _EDGE_TO_SPINE_FRACTIONS = {"lateral": (0.356, 0.709), "medial": (0.392, 0.779)}
 # Search range for a spine on each side of the plateau centre, as a fraction of the plateau width.
 _SPINE_SEARCH_FRACTION = 0.22
+# Least height of a spine above its surroundings in the search range, in mm (assumed).
+_PEAK_PROMINENCE_MM = 0.5
 # Position of the point between the spines along x, as a fraction of the distance from the lateral to the medial spine:
 # mean of the annotations over five KL grades (0.465 to 0.492; Tiulpin et al. 2019).
 _BETWEEN_SPINES_FRACTION = 0.475
@@ -110,6 +106,12 @@ class _Contour:
     def find_highest_point(self) -> tuple[float, float]:
         """Return the contour point with the largest y, in mm."""
         return self._place(int(self.y_mm.argmax()))
+
+    def find_highest_peak(self, slope: float) -> tuple[float, float]:
+        """Return the peak that is farthest above a line with the slope `slope`, or else the farthest point, in mm."""
+        height = self.y_mm - slope * self.x_mm
+        peaks, _ = signal.find_peaks(height, prominence=_PEAK_PROMINENCE_MM)
+        return self._place(int(peaks[height[peaks].argmax()] if len(peaks) else height.argmax()))
 
     def find_lowest_point(self) -> tuple[float, float]:
         """Return the contour point with the smallest y, in mm."""
@@ -221,8 +223,9 @@ def _find_tibial_landmarks(points_mm: Array, tibia: Mesh) -> list[tuple[float, f
     lateral, medial = _find_edges(points_mm, +1.0, _TIBIAL_TANGENTS_DEG)
     contour = _trace_contour(points_mm, _list_triangle_sides(tibia), (lateral[0], medial[0]), -1.0)
     middle, width = (lateral[0] + medial[0]) / 2, medial[0] - lateral[0]
+    slope = (medial[1] - lateral[1]) / width
     spines = [
-        contour.crop_between(middle, middle + out * _SPINE_SEARCH_FRACTION * width).find_highest_point()
+        contour.crop_between(middle, middle + out * _SPINE_SEARCH_FRACTION * width).find_highest_peak(slope)
         for out in (-1.0, 1.0)
     ]
     ways = {
@@ -231,7 +234,7 @@ def _find_tibial_landmarks(points_mm: Array, tibia: Mesh) -> list[tuple[float, f
     }
     floors = []
     for x in ways["medial"]:
-        line = lateral[1] + (x - lateral[0]) / width * (medial[1] - lateral[1])
+        line = lateral[1] + slope * (x - lateral[0])
         floors.append((x, _find_floor_height_mm(_cut_section(points_mm, tibia, x), line - _PLATEAU_UNDER * width)))
     tops = [contour.find_nearest_point(x) for x in ways["lateral"]]
     valley = contour.find_nearest_point(spines[0][0] + _BETWEEN_SPINES_FRACTION * (spines[1][0] - spines[0][0]))

@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from ...anatomy.outlines.contour_landmarks import CONTOUR_LANDMARKS, find_contour_landmarks
+from ...anatomy.outlines.contour_landmarks import find_contour_landmarks
 from ...anatomy.posture.attrition import build_outer_meshes
 from ...anatomy.posture.knee_assembly import assemble_knee
 from ...anatomy.template.bone_builder import resolve_bone_parameters
 from ...core.checks import Array, InputError
+from ...core.label_names import CONTOUR_LANDMARKS
 from ...core.processes.parallel_map import map_in_parallel
 from ...data.analysis.landmark_table import GradeLandmarkStatistics, LandmarkReference
 from ...data.anatomy.anatomy_tables import AnatomyTables

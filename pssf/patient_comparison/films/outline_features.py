@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ...anatomy.labels.radiograph_labels import JSW_FRACTIONS
 from ...core.checks import Array
+from ...core.label_names import JSW_FRACTIONS
 from .film_normalisation import PITCH_MM
 from .film_outline import Outline
 

@@ -11,9 +11,16 @@ from numpy.typing import NDArray
 from ...core.checks import Array, InputError
 from ...data.analysis.localisation_table import LocalisationSettings
 from ...io.cohort_records import hash_file
-from ...reader import KneeReading, Reader, load_reader
 from ...reader.knee_frame import PLATEAU_EDGES, fit_frame
-from ...reader.knee_reading import LANDMARK_FILE, LOCATOR_FILE, SIDE_FILE, read_knees
+from ...reader.knee_reading import (
+    LANDMARK_FILE,
+    LOCATOR_FILE,
+    SIDE_FILE,
+    KneeReading,
+    Reader,
+    load_reader,
+    read_knees,
+)
 from ...reader.reader_table import PACKAGE_FOLDER, TABLE_FILE
 from .joint_localisation import ORIENTATIONS, JointLocation, locate_joint_in_radiograph
 from .region_of_interest import region_fits
