@@ -16,10 +16,12 @@ from PIL import Image
 from pssf.cli.reader_command import landmarks
 from pssf.core.checks import InputError
 from pssf.core.label_names import CONTOUR_LANDMARKS
+from pssf.data.analysis.ibsi_table import load_ibsi_tags
 from pssf.data.analysis.landmark_table import load_landmark_reference
 from pssf.io.landmark_files import read_pts, write_pts
 from pssf.io.patients.landmark_annotations import read_landmark_annotations
 from pssf.io.pictures import write_image_row
+from pssf.radiomics.features.feature_extraction import extract_features
 from pssf.radiomics.localisation.region_placement import find_polarity, locate_joint_by_reader, locate_region
 from pssf.reader.film_overlay import draw_overlay
 from pssf.reader.film_reading import read
@@ -474,6 +476,25 @@ def test_region_of_the_reader_is_at_the_medial_joint_line(side):
     along = offset @ lateral / np.linalg.norm(lateral) / 120
     assert along == pytest.approx(0.0355, abs=0.002)
     assert joint.scale == pytest.approx(1.0, abs=0.01)
+    (knee,) = read(draw_film(frame), reader=make_reader())
+    np.testing.assert_array_equal(joint.bones, knee.masks["femur"] | knee.masks["tibia"])
+
+
+def test_shape_features_describe_the_bones_of_the_reader():
+    rng = np.random.default_rng(5)
+    region = rng.integers(100, 4000, (128, 128))
+    bones = np.zeros((128, 128), bool)
+    bones[20:70, 30:110] = True
+    measured = {
+        name: extract_features(region, 0.3, load_ibsi_tags(), families=("firstorder", "shape2D"), bones=given)
+        for name, given in (("reader", bones), ("segmented", None))
+    }
+    area = next(name for name in measured["reader"] if name.endswith("PixelSurface"))
+    assert measured["reader"][area] == pytest.approx(50 * 80 * 0.3**2)
+    assert measured["segmented"][area] != measured["reader"][area]
+    for name, value in measured["segmented"].items():
+        if name.startswith("firstorder"):
+            assert measured["reader"][name] == value
 
 
 def test_unknown_pixel_size_follows_from_the_plateau():

@@ -196,7 +196,13 @@ def measure_display(
         bright = region if joint.polarity == "bone bright" else -region
         signal = match_template_histogram(bright, templates[0], settings.pixel_mm)
         record |= extract_features(
-            signal, settings.pixel_mm, tables.tags, settings.bins, settings.families, settings.backend
+            signal,
+            settings.pixel_mm,
+            tables.tags,
+            settings.bins,
+            settings.families,
+            settings.backend,
+            bones=_cut_bones(joint, settings),
         )
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
@@ -276,7 +282,13 @@ def measure_linear(
     if region is not None:
         signal = np.clip(np.rint(region), 0, 65535).astype(np.uint16)
         record |= extract_features(
-            signal, settings.pixel_mm, tables.tags, settings.bins, settings.families, settings.backend
+            signal,
+            settings.pixel_mm,
+            tables.tags,
+            settings.bins,
+            settings.families,
+            settings.backend,
+            bones=_cut_bones(joint, settings),
         )
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
@@ -380,6 +392,14 @@ def cut_resampled_region(
     return np.asarray(
         ndimage.map_coordinates(soft, np.meshgrid(rows, cols, indexing="ij"), order=3, mode="nearest"), np.float64
     )
+
+
+def _cut_bones(joint: JointLocation, settings: DisplayExtractionSettings) -> NDArray[np.bool_] | None:
+    """Resample the masks of the bones, if there are any, to the region that is measured."""
+    if joint.bones is None:
+        return None
+    region = cut_resampled_region(joint.bones.astype(np.float32), joint, settings.pixel_mm, settings.region_px)
+    return None if region is None else region > 0.5
 
 
 def match_template_histogram(region: Array, template: Template, pixel_mm: float) -> NDArray[np.uint16]:

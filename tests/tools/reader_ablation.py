@@ -3,9 +3,12 @@
 Run ``python -m tools.reader_ablation OUT --data DATA --films FILMS --compare ANNOTATIONS`` in the folder ``tests``.
 DATA is a data set of ``pssf dataset``, FILMS a folder of radiographs, and ANNOTATIONS their table of landmarks (see
 ``pssf landmarks --compare``). Knees are found by the locator of ``--networks``, or of the package. The command writes
-OUT/reader_ablation.csv; a repeated run continues where it stopped. It needs the extra ``train``.
+OUT/reader_ablation.csv. A repeated run continues where it stopped: variants with a result are not trained again.
+Several processes may train different variants (``--variant``) with the same OUT; a last run without this option writes
+the table. It needs the extra ``train``.
 """
 
+import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +21,7 @@ import typer
 
 from pssf.core.label_names import CONTOUR_LANDMARKS
 from pssf.io.atomic_write import make_folder
-from pssf.io.cohort_records import write_csv
+from pssf.io.cohort_records import write_csv, write_json
 from pssf.io.patients.landmark_annotations import LandmarkAnnotation, read_landmark_annotations
 from pssf.io.run_record import start_run_record
 from pssf.reader.film_reading import read
@@ -31,6 +34,7 @@ from pssf.reader_training.training_images import TrainingImages, read_training_i
 from pssf.reader_training.training_settings import ReaderTrainingSettings
 
 Row = dict[str, Any]
+_ROW_FILE = "row.json"
 # Columns of the agreement with annotations that are kept.
 _KEPT = (
     *("median_mm", "p90_mm", "below_1_mm", "below_1_5_mm", "below_2_5_mm", "auc_severe"),
@@ -56,6 +60,8 @@ def list_variants(base: ReaderTrainingSettings) -> Iterator[tuple[str, ReaderTra
     for recipe in _RECIPES:
         if recipe != base.randomisation:
             yield f"randomisation {recipe}", replace(base, randomisation=recipe), 1.0
+    yield "without deformation", replace(base, deformation_sd=0.0), 1.0
+    yield "without mirrored crops", replace(base, mirrored_fraction=0.0), 1.0
     for fraction in _FRACTIONS[:-1]:
         yield f"{fraction:.1%} of the images", base, fraction
 
@@ -84,8 +90,9 @@ def main(
     networks: Annotated[Path | None, typer.Option()] = None,
     steps: Annotated[int, typer.Option()] = 2000,
     threads: Annotated[int, typer.Option()] = 1,
+    variant: Annotated[list[str] | None, typer.Option()] = None,
 ) -> None:
-    """Train and measure all variants."""
+    """Train and measure all variants, or those that are named."""
     record = start_run_record()
     torch.set_num_threads(threads)
     base = ReaderTrainingSettings(landmark_steps=steps, threads=threads)
@@ -93,7 +100,12 @@ def main(
     annotations, given = read_landmark_annotations(compare, CONTOUR_LANDMARKS), load_reader(networks)
     rows: list[Row] = []
     for name, settings, fraction in list_variants(base):
+        if variant and name not in variant:
+            continue
         folder = make_folder(out / name.replace(" ", "_").replace("%", ""))
+        if (folder / _ROW_FILE).is_file():
+            rows.append(json.loads((folder / _ROW_FILE).read_text()))
+            continue
         images, began = select_images(training, fraction), perf_counter()
         network = train_landmark_network(images, settings, folder, lambda *_: None)
         seconds = perf_counter() - began
@@ -109,9 +121,11 @@ def main(
                 **measure_films(reader, films, annotations),
             }
         )
+        write_json(folder / _ROW_FILE, rows[-1])
         print(rows[-1], flush=True)
+    if not variant:
         write_csv(out / "reader_ablation.csv", rows)
-    record.save(out)
+        record.save(out)
 
 
 if __name__ == "__main__":

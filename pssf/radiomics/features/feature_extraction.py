@@ -103,6 +103,8 @@ def extract_features(
     families: Collection[str] = FAMILIES,
     backend: str | None = None,
     mask: NDArray[np.bool_] | None = None,
+    *,
+    bones: NDArray[np.bool_] | None = None,
 ) -> dict[str, float]:
     """Measure the features of a region, with names such as `glcm_Contrast`.
 
@@ -127,7 +129,9 @@ def extract_features(
         Feature library; None for pyradiomics if it is installed, else MIRP.
     mask : (size, size) bool array or None
         True for the pixels to measure; shape features then describe the mask. If None, all pixels are measured and
-        shape features describe the segmented bone.
+        shape features describe the bones.
+    bones : (size, size) bool array or None
+        Mask of the bones for shape features; None: the bones are segmented. A `mask` has priority.
 
     Returns
     -------
@@ -153,7 +157,10 @@ def extract_features(
             "firstorder_z", by.first_order(_compute_z_score(region, mask), pixel_mm, bins, _AFFINE_INVARIANT, mask)
         )
     if "shape2D" in families:
-        values |= _prefix_names("shape2D", by.shape(segment_bone(region, pixel_mm) if mask is None else mask, pixel_mm))
+        outline = next((one for one in (mask, bones) if one is not None), None)
+        values |= _prefix_names(
+            "shape2D", by.shape(segment_bone(region, pixel_mm) if outline is None else outline, pixel_mm)
+        )
     of_texture = [name for name in TEXTURES if name in families]
     for name, of_family in by.textures(region, pixel_mm, bins, of_texture, mask).items():
         values |= _prefix_names(name, of_family)

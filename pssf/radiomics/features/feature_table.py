@@ -15,6 +15,7 @@ from ...core.processes.execution import Execution
 from ...core.processes.parallel_map import map_in_parallel
 from ...core.stage_timer import make_interval_check
 from ...data.code_hash import compute_code_hashes, require_same_code
+from ..localisation.joint_localisation import JointLocation
 from ..localisation.region_of_interest import cut_region
 from ..localisation.region_placement import hash_reader, locate_region
 from ..localisation.templates import Template
@@ -247,9 +248,22 @@ def measure_radiograph(
     if joint.status == "found":
         region = cut_region(pixels, joint.row, joint.col, settings.region_px)
         record |= extract_features(
-            region, job.pixel_mm, tables.tags, settings.bins, settings.families, settings.backend
+            region,
+            job.pixel_mm,
+            tables.tags,
+            settings.bins,
+            settings.families,
+            settings.backend,
+            bones=_cut_bones(joint, settings.region_px),
         )
     return record, {"localisation": located - began, "features": perf_counter() - located}
+
+
+def _cut_bones(joint: JointLocation, region_px: int) -> NDArray[np.bool_] | None:
+    """Cut the masks of the bones, if there are any, to the region that is measured."""
+    if joint.bones is None:
+        return None
+    return np.asarray(cut_region(joint.bones, joint.row, joint.col, region_px), dtype=np.bool_)
 
 
 def hash_settings(templates: Sequence[Template], settings: Any) -> str:

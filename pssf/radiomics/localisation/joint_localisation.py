@@ -1,7 +1,7 @@
 """Joint localisation: position of the medial joint line in a radiograph, with knee side, orientation and size."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +73,8 @@ class JointLocation:
         Fraction of the whole-joint patch that is inside the radiograph.
     pixel_height : float
         Pixel height divided by pixel width; `pixel_mm` is the width.
+    bones : (rows, cols) bool array or None
+        Mask of femur and tibia in the radiograph; None if the localisation does not segment the bones.
     """
 
     row: float
@@ -92,6 +94,7 @@ class JointLocation:
     match_distance_mm: float
     visible_fraction: float
     pixel_height: float = 1.0
+    bones: NDArray[np.bool_] | None = field(default=None, repr=False, compare=False)
 
     @property
     def square_pixel_row(self) -> float:

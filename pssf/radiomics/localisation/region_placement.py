@@ -4,6 +4,7 @@ These replace the search with templates (`joint_localisation`).
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,7 +135,8 @@ def locate_joint_by_reader(
     -------
     JointLocation
         Location of the joint. `score` is the score of the knee, `compartment_score` the median confidence of the
-        landmarks, and the margins are 1 or -1. The position is NaN if no knee was read.
+        landmarks, and the margins are 1 or -1. The position is NaN if no knee was read. `bones` are the masks of the
+        reader.
 
     Raises
     ------
@@ -157,7 +159,7 @@ def locate_joint_by_reader(
     scale = 1.0
     if pixel_mm is not None and template.plateau_mm is not None:
         scale = width_px * pixel_mm / template.plateau_mm
-    return _make_location(
+    location = _make_location(
         status,
         knee.side,
         pixel_mm or template.known_plateau_mm / width_px,
@@ -170,6 +172,7 @@ def locate_joint_by_reader(
         scale=scale,
         pixel_mm_source="plateau" if pixel_mm is None else "given",
     )
+    return replace(location, bones=knee.masks["femur"] | knee.masks["tibia"])
 
 
 def locate_joint_at(
