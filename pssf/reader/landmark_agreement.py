@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from ..core.checks import Array
-from ..core.label_names import CONTOUR_LANDMARKS
+from ..core.label_names import CONTOUR_LANDMARKS, FEMORAL_LANDMARKS, TIBIAL_LANDMARKS
 from .joint_measures import measure_joint
 from .knee_frame import fit_similarity
 from .knee_reading import KneeReading
@@ -56,8 +56,9 @@ def compare_landmarks(reading: KneeReading | None, landmarks_mm: Array, side: st
     Returns
     -------
     dict of str to object
-        ``found``, ``refused`` and ``side_right`` (0 or 1), the mean distance ``distance_mm``, the distance of each
-        landmark, and the joint spaces of reader and annotation, in mm of the annotation.
+        ``found``, ``refused`` and ``side_right`` (0 or 1), the mean distance ``distance_mm``, the mean distance
+        ``line_distance_mm`` from the lines through the annotated landmarks of each bone, the distance of each landmark,
+        and the joint spaces of reader and annotation, in mm of the annotation.
     """
     truth = measure_joint(landmarks_mm[:, ::-1], "right")
     known = {
@@ -69,17 +70,32 @@ def compare_landmarks(reading: KneeReading | None, landmarks_mm: Array, side: st
     places = np.array([reading.landmarks_px[name] for name in CONTOUR_LANDMARKS])[:, ::-1]
     if reading.side == "left":
         places = places * (-1.0, 1.0)
-    distance = np.hypot(*(fit_similarity(places, landmarks_mm) - landmarks_mm).T)
+    fitted = fit_similarity(places, landmarks_mm)
+    distance = np.hypot(*(fitted - landmarks_mm).T)
     return {
         "found": 1,
         "refused": int(bool(reading.refusal)),
         "side_right": int(reading.side == side),
         "distance_mm": float(distance.mean()),
+        "line_distance_mm": float(_measure_line_distances(fitted, landmarks_mm).mean()),
         **known,
         "medial_gap_mm": reading.measures.medial_jsw_share * truth.plateau_width_px,
         "lateral_gap_mm": reading.measures.lateral_jsw_share * truth.plateau_width_px,
         **{f"{name}_mm": float(value) for name, value in zip(CONTOUR_LANDMARKS, distance, strict=True)},
     }
+
+
+def _measure_line_distances(places_mm: Array, landmarks_mm: Array) -> Array:
+    """Measure the distance of each landmark (16, 2) from the line through the annotated landmarks of its bone."""
+    distances = []
+    for bone in (TIBIAL_LANDMARKS, FEMORAL_LANDMARKS):
+        own = [CONTOUR_LANDMARKS.index(name) for name in bone]
+        starts, steps = landmarks_mm[own[:-1]], np.diff(landmarks_mm[own], axis=0)
+        from_starts = places_mm[own][:, None] - starts
+        share = (from_starts * steps).sum(axis=2) / (steps**2).sum(axis=1)
+        nearest = np.clip(share, 0.0, 1.0)[..., None] * steps
+        distances.append(np.hypot(*np.moveaxis(from_starts - nearest, 2, 0)).min(axis=1))
+    return np.concatenate(distances)
 
 
 def summarise_agreement(rows: Sequence[Row], grades: Sequence[int | None]) -> list[Row]:
@@ -95,9 +111,10 @@ def summarise_agreement(rows: Sequence[Row], grades: Sequence[int | None]) -> li
     Returns
     -------
     list of dict
-        One row per group of radiographs: counts, median and 90th percentile of the mean distance, fractions of
-        radiographs below limits, and bias, mean absolute error and correlation of the joint spaces. The first row also
-        has the AUC of the smaller joint space for KL 3 and 4 against KL 0.
+        One row per group of radiographs: counts, median and 90th percentile of the mean distance, median of the mean
+        distance from the annotated lines, fractions of radiographs below limits, and bias, mean absolute error and
+        correlation of the joint spaces. The first row also has the AUC of the smaller joint space for KL 3 and 4
+        against KL 0.
     """
     groups: list[tuple[str, list[Row]]] = [("all", list(rows))]
     for grade in sorted({grade for grade in grades if grade is not None}):
@@ -120,6 +137,7 @@ def _summarise(rows: Sequence[Row]) -> Row:
         return summary
     distance = np.array([row["distance_mm"] for row in read])
     summary |= {"median_mm": float(np.median(distance)), "p90_mm": float(np.quantile(distance, 0.9))}
+    summary["line_median_mm"] = float(np.median([row["line_distance_mm"] for row in read]))
     summary |= {f"below_{limit:g}_mm".replace(".", "_"): float((distance < limit).mean()) for limit in _LIMITS_MM}
     for side in ("medial", "lateral"):
         ours, theirs = (np.array([row[f"{side}_gap{kind}_mm"] for row in read]) for kind in ("", "_annotated"))
