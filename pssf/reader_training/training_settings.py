@@ -37,7 +37,7 @@ class ReaderTrainingSettings:
         Recipe for the random change of grey values.
     deformation_sd : float, default 0.02
         Standard deviation of random displacements of the image, as a fraction of the plateau width.
-    mirrored_fraction : float, default 0.25
+    mirrored_fraction : float, default 0.0
         Fraction of mirrored crops in the training of the landmark network, which have masks but no landmarks.
     threads : int, default 2
         Number of threads of PyTorch. The number changes the order of sums, and so the last digits of the networks.
@@ -55,7 +55,7 @@ class ReaderTrainingSettings:
     width: int = 20
     randomisation: str = "strong"
     deformation_sd: float = 0.02
-    mirrored_fraction: float = 0.25
+    mirrored_fraction: float = 0.0
     threads: int = 2
 
     def __post_init__(self) -> None:

@@ -61,7 +61,6 @@ def list_variants(base: ReaderTrainingSettings) -> Iterator[tuple[str, ReaderTra
         if recipe != base.randomisation:
             yield f"randomisation {recipe}", replace(base, randomisation=recipe), 1.0
     yield "without deformation", replace(base, deformation_sd=0.0), 1.0
-    yield "without mirrored crops", replace(base, mirrored_fraction=0.0), 1.0
     for fraction in _FRACTIONS[:-1]:
         yield f"{fraction:.1%} of the images", base, fraction
 
