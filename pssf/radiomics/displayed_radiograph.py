@@ -195,15 +195,7 @@ def measure_display(
     if region is not None:
         bright = region if joint.polarity == "bone bright" else -region
         signal = match_template_histogram(bright, templates[0], settings.pixel_mm)
-        record |= extract_features(
-            signal,
-            settings.pixel_mm,
-            tables.tags,
-            settings.bins,
-            settings.families,
-            settings.backend,
-            bones=_cut_bones(joint, settings),
-        )
+        record |= _extract(signal, joint, settings, tables)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 
@@ -250,19 +242,19 @@ def measure_linear(
     require_same_code(code)
     assert job.side is not None
     assert job.pixel_mm is not None
+    began = perf_counter()
+    pixels = load_pixels(job.file)
     if np.isclose(job.pixel_mm, settings.pixel_mm, rtol=1e-6):
         same = {name: value for name, value in vars(settings).items() if name != "pixel_mm"}
         plain = ExtractionSettings(**same)
         record, seconds = measure_radiograph(
-            job, load_pixels=load_pixels, templates=templates, settings=plain, tables=tables, code=code
+            job, load_pixels=lambda _: pixels, templates=templates, settings=plain, tables=tables, code=code
         )
         record |= _make_given_columns(job)
-        density = compute_density(load_pixels(job.file))
+        density = compute_density(pixels)
         return record | {
             "film_knees": _count_knees(density, record, job.pixel_mm, templates, tables.localisation)
         }, seconds
-    began = perf_counter()
-    pixels = load_pixels(job.file)
     joint = locate_region(
         pixels,
         templates,
@@ -281,15 +273,7 @@ def measure_linear(
     record["film_knees"] = _count_knees(compute_density(pixels), record, job.pixel_mm, templates, tables.localisation)
     if region is not None:
         signal = np.clip(np.rint(region), 0, 65535).astype(np.uint16)
-        record |= extract_features(
-            signal,
-            settings.pixel_mm,
-            tables.tags,
-            settings.bins,
-            settings.families,
-            settings.backend,
-            bones=_cut_bones(joint, settings),
-        )
+        record |= _extract(signal, joint, settings, tables)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 
@@ -391,6 +375,21 @@ def cut_resampled_region(
         soft = ndimage.gaussian_filter(soft, 0.5 * np.sqrt(ratio**2 - 1.0), mode="nearest")
     return np.asarray(
         ndimage.map_coordinates(soft, np.meshgrid(rows, cols, indexing="ij"), order=3, mode="nearest"), np.float64
+    )
+
+
+def _extract(
+    signal: NDArray[np.uint16], joint: JointLocation, settings: DisplayExtractionSettings, tables: RadiomicsTables
+) -> dict[str, float]:
+    """Measure the features of a resampled region (region_px, region_px)."""
+    return extract_features(
+        signal,
+        settings.pixel_mm,
+        tables.tags,
+        settings.bins,
+        settings.families,
+        settings.backend,
+        bones=_cut_bones(joint, settings),
     )
 
 

@@ -13,6 +13,7 @@ from ..radiomics.features.feature_table import (
     ExtractionSettings,
     MeasurementJob,
     Record,
+    make_measurement_jobs,
     measure_radiographs,
 )
 from .design.manifest_checks import require_manifest, require_unique_files
@@ -228,9 +229,8 @@ def _measure_records(
 
 def _make_jobs(radiographs: pd.DataFrame, with_truth: bool) -> list[MeasurementJob]:
     """Make one measurement job per radiograph, with the true medial joint line if it is used."""
-    columns = ["radiograph", "file", "sha256", "side", "pixel_mm"]
     truth = ["truth_medial_row_px", "truth_medial_col_px"]
-    jobs = [MeasurementJob(**row) for row in radiographs[columns].to_dict("records")]
+    jobs = make_measurement_jobs(radiographs.to_dict("records"))
     if not with_truth:
         return jobs
     return [

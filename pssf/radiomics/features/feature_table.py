@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import version
 from time import perf_counter
@@ -35,6 +35,8 @@ NON_FEATURE_COLUMNS = (*TEXT_COLUMNS, "row_px", "col_px", "film_pixel_mm", *SCOR
 # Subpackages whose code and tables affect feature records. Their hashes are included in the settings hash.
 _CODE_PACKAGES = ("core", "data", "detector", "io", "radiomics", "reader")
 _LIBRARIES = ("numpy", "scikit-image", "scipy")
+# Columns of a table of radiographs that a measurement uses.
+_JOB_COLUMNS = ("radiograph", "file", "sha256", "side", "pixel_mm")
 # Minimum time between two calls of `save` by `measure_radiographs`, in seconds.
 SAVE_INTERVAL_S = 10
 
@@ -257,6 +259,22 @@ def measure_radiograph(
             bones=_cut_bones(joint, settings.region_px),
         )
     return record, {"localisation": located - began, "features": perf_counter() - located}
+
+
+def make_measurement_jobs(rows: Iterable[Mapping[str, Any]]) -> list[MeasurementJob]:
+    """Make one measurement job per row of a table of radiographs.
+
+    Parameters
+    ----------
+    rows : iterable of dict
+        Rows with the columns ``radiograph``, ``file``, ``sha256``, ``side`` and ``pixel_mm``; others are ignored.
+
+    Returns
+    -------
+    list of MeasurementJob
+        Jobs without a true position of the joint.
+    """
+    return [MeasurementJob(**{name: row[name] for name in _JOB_COLUMNS}) for row in rows]
 
 
 def _cut_bones(joint: JointLocation, region_px: int) -> NDArray[np.bool_] | None:

@@ -31,6 +31,7 @@ from ...radiomics.features.feature_table import (
     TEXT_COLUMNS,
     MeasurementJob,
     Record,
+    make_measurement_jobs,
     measure_radiographs,
 )
 from ...radiomics.localisation.crop_template import crop_template
@@ -192,7 +193,8 @@ def evaluate_on_films(bench: MeasurementContext, films: FilmSet, manifest: pd.Da
         backend=settings.backend,
         regions=settings.film_regions,
     )
-    own = _measure_jobs(bench, how, _make_cohort_jobs(cohort), films.load_cohort, "cohort as displayed")
+    jobs = make_measurement_jobs(cohort.to_dict("records"))
+    own = _measure_jobs(bench, how, jobs, films.load_cohort, "cohort as displayed")
     own = cohort.merge(own.drop(columns="sha256"), on="radiograph", validate="one_to_one")
     usable = own[own["status"] == "found"]
     _require_grades(usable, films.protocol)
@@ -230,12 +232,6 @@ def make_film_job(film: Film) -> MeasurementJob:
     """
     said = hashlib.sha256(f"{film.sha256} {film.side} {film.pixel_mm}".encode()).hexdigest()
     return MeasurementJob(radiograph=film.file, file=film.file, sha256=said, side=film.side, pixel_mm=film.pixel_mm)
-
-
-def _make_cohort_jobs(cohort: pd.DataFrame) -> list[MeasurementJob]:
-    """Make one measurement job per cohort radiograph."""
-    columns = ["radiograph", "file", "sha256", "side", "pixel_mm"]
-    return [MeasurementJob(**{name: row[name] for name in columns}) for row in cohort[columns].to_dict("records")]
 
 
 def _resolve_pitch_and_region_mm(
