@@ -89,23 +89,6 @@ def test_landmarks_follow_the_random_frame_and_deformation(images, deformation_s
     assert seen > 40
 
 
-def test_mirrored_crops_have_masks_and_no_landmarks(images):
-    torch.manual_seed(3)
-    one_sided = replace(images, coded_masks=images.coded_masks.copy())
-    one_sided.coded_masks[:, :, STORED_PX // 2 :] = 0b10000000
-    made = landmark_batches.make_landmark_batch(
-        one_sided,
-        np.tile(np.arange(6), 10),
-        crop_px=192,
-        plateau_px=112.0,
-        randomise_grey=torch.nn.Identity(),
-        mirrored_fraction=0.5,
-    )
-    left, right = (made.bones[:, 0, :, part].mean(dim=(1, 2)) for part in (slice(0, 48), slice(48, 96)))
-    np.testing.assert_array_equal(right > left, (made.visible == 0).all(dim=1))
-    assert 15 < (right > left).sum() < 45
-
-
 def test_undone_displacements_lead_back_to_the_points():
     torch.manual_seed(4)
     moved = random_deformation.draw_displacements(5, 192, 8.0)

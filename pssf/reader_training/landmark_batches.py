@@ -52,7 +52,6 @@ def make_landmark_batch(
     plateau_px: float,
     randomise_grey: nn.Module | None,
     deformation_sd: float = 0.0,
-    mirrored_fraction: float = 0.0,
 ) -> LandmarkBatch:
     """Make a batch in random frames, or in the exact frames of the knees if grey values are not randomised.
 
@@ -70,9 +69,6 @@ def make_landmark_batch(
         Random change of grey values; None makes a batch without any randomness.
     deformation_sd : float, default 0.0
         Standard deviation of random displacements, as a fraction of the plateau width.
-    mirrored_fraction : float, default 0.0
-        Fraction of the crops that are mirrored at random, with their masks. They have no visible landmarks. Without
-        such crops, a network draws the fibula on the lateral side of the crop even if it is on the other side.
 
     Returns
     -------
@@ -87,8 +83,6 @@ def make_landmark_batch(
     source = torch.einsum("bij,hwj->bhwi", matrix, steps) + shift[:, None, None]
     moved = draw_displacements(count, crop_px, deformation_sd * STORED_PLATEAU_PX)
     grey, masks = _sample_crops(images, chosen, (source + moved.movedim(1, -1)).flip(-1) / stored_middle)
-    mirrored = torch.rand(count) < mirrored_fraction
-    grey, masks = (torch.where(mirrored[:, None, None, None], one.flip(3), one) for one in (grey, masks))
     landmarks = torch.from_numpy(images.landmarks_px[chosen]) - stored_middle - shift[:, None]
     places = undo_displacements(landmarks, moved, matrix) + middle
     inside = (masks[:, -1:] > 0.5).float()
@@ -97,7 +91,6 @@ def make_landmark_batch(
         grey = randomise_grey(grey)
     at = functional.grid_sample(inside, (places / middle - 1).flip(-1)[:, :, None], align_corners=True)[:, 0, :, 0]
     visible = ((places > _MARGIN_PX) & (places < crop_px - 1 - _MARGIN_PX)).all(dim=2) & (at > 0.5)
-    visible &= ~mirrored[:, None]
     return LandmarkBatch(
         image=normalise(grey, inside),
         places_px=places,

@@ -99,7 +99,6 @@ def train_landmark_network(
             plateau_px=settings.plateau_px,
             randomise_grey=randomise,
             deformation_sd=settings.deformation_sd,
-            mirrored_fraction=settings.mirrored_fraction,
         )
         return compute_batch_loss(net, made)
 

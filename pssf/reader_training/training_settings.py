@@ -37,8 +37,6 @@ class ReaderTrainingSettings:
         Recipe for the random change of grey values.
     deformation_sd : float, default 0.02
         Standard deviation of random displacements of the image, as a fraction of the plateau width.
-    mirrored_fraction : float, default 0.0
-        Fraction of mirrored crops in the training of the landmark network, which have masks but no landmarks.
     threads : int, default 2
         Number of threads of PyTorch. The number changes the order of sums, and so the last digits of the networks.
     """
@@ -55,7 +53,6 @@ class ReaderTrainingSettings:
     width: int = 20
     randomisation: str = "strong"
     deformation_sd: float = 0.02
-    mirrored_fraction: float = 0.0
     threads: int = 2
 
     def __post_init__(self) -> None:
@@ -68,7 +65,6 @@ class ReaderTrainingSettings:
         require_integer("crop_px", self.crop_px, 64, 1024, "pixels")
         require_in_range("plateau_px", self.plateau_px, 20.0, float(self.crop_px), "pixels")
         require_integer("width", self.width, 4, 256, "")
-        require_in_range("mirrored_fraction", self.mirrored_fraction, 0.0, 0.9, "")
         require_in_range("deformation_sd", self.deformation_sd, 0.0, 0.1, "plateau widths")
         require_integer("threads", self.threads, 1, 1024, "")
         require_choice("randomisation", self.randomisation, RECIPES)
