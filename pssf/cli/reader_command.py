@@ -21,6 +21,9 @@ Networks = Annotated[
     Path | None, typer.Option(help="Folder with networks made by pssf train-reader; default: those of the package.")
 ]
 
+# Views of the training images; half of the images are in fixed flexion, and the other half in the other frontal views.
+_TRAINING_PROTOCOLS = (*["fixed_flexion"] * 3, "ap_standing", "rosenberg", "lyon_schuss")
+
 
 def landmarks(
     films: Annotated[
@@ -192,7 +195,9 @@ def train_reader(
     )
     folder = out / "data" if data is None else data
     if data is None:
-        simulated = DatasetSettings(images=images, seed=seed, matrix=1024, kinds=("display",))
+        simulated = DatasetSettings(
+            images=images, seed=seed, matrix=1024, kinds=("display",), protocols=_TRAINING_PROTOCOLS
+        )
         make_with_progress(simulated, folder, workers, None)
     errors, _ = make_reader(
         folder,
