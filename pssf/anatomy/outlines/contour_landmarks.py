@@ -10,8 +10,8 @@ size and the side of the knee therefore do not affect the result.
     the horizontal for both edges of the tibia, at 50 degrees for the lateral edge of the femur, and at 40 degrees for
     its medial edge. Among angles from 25 to 65 degrees, these two agree best with the annotations.
 ``*_spine``
-    Highest peak of the contour on each side of the centre of the plateau, perpendicular to the line through the two
-    edges of the tibia. A peak rises above its surroundings by at least 0.5 mm; without a peak, it is the highest point.
+    Highest peak of the contour on each side of the centre of the plateau. A peak rises above its surroundings by at
+    least 0.5 mm; without a peak, it is the highest point. On a tilted plateau, the highest point may be at the centre.
 ``between_spines``
     Point on the contour at a fixed fraction of the distance along x from the lateral to the medial spine, as in the
     annotations. The lowest point would be 1.1 mm further lateral, with twice the variation of the annotations.
@@ -109,11 +109,10 @@ class _Contour:
         """Return the contour point with the largest y, in mm."""
         return self._place(int(self.y_mm.argmax()))
 
-    def find_highest_peak(self, slope: float) -> tuple[float, float]:
-        """Return the peak that is farthest above a line with the slope `slope`, or else the farthest point, in mm."""
-        height = self.y_mm - slope * self.x_mm
-        peaks, _ = signal.find_peaks(height, prominence=_PEAK_PROMINENCE_MM)
-        return self._place(int(peaks[height[peaks].argmax()] if len(peaks) else height.argmax()))
+    def find_highest_peak(self) -> tuple[float, float]:
+        """Return the peak with the largest y, or else the point with the largest y, in mm."""
+        peaks, _ = signal.find_peaks(self.y_mm, prominence=_PEAK_PROMINENCE_MM)
+        return self._place(int(peaks[self.y_mm[peaks].argmax()])) if len(peaks) else self.find_highest_point()
 
     def find_lowest_point(self) -> tuple[float, float]:
         """Return the contour point with the smallest y, in mm."""
@@ -225,9 +224,8 @@ def _find_tibial_landmarks(points_mm: Array, tibia: Mesh) -> list[tuple[float, f
     lateral, medial = _find_edges(points_mm, +1.0, _TIBIAL_TANGENTS_DEG)
     contour = _trace_contour(points_mm, _list_triangle_sides(tibia), (lateral[0], medial[0]), -1.0)
     middle, width = (lateral[0] + medial[0]) / 2, medial[0] - lateral[0]
-    slope = (medial[1] - lateral[1]) / width
     spines = [
-        contour.crop_between(middle, middle + out * _SPINE_SEARCH_FRACTION * width).find_highest_peak(slope)
+        contour.crop_between(middle, middle + out * _SPINE_SEARCH_FRACTION * width).find_highest_peak()
         for out in (-1.0, 1.0)
     ]
     ways = {
@@ -236,7 +234,7 @@ def _find_tibial_landmarks(points_mm: Array, tibia: Mesh) -> list[tuple[float, f
     }
     floors = []
     for x in ways["medial"]:
-        line = lateral[1] + slope * (x - lateral[0])
+        line = lateral[1] + (x - lateral[0]) / width * (medial[1] - lateral[1])
         floors.append((x, _find_floor_height_mm(_cut_section(points_mm, tibia, x), line - _PLATEAU_UNDER * width)))
     tops = [contour.find_nearest_point(x) for x in ways["lateral"]]
     valley = contour.find_nearest_point(spines[0][0] + _BETWEEN_SPINES_FRACTION * (spines[1][0] - spines[0][0]))
