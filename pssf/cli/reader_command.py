@@ -199,13 +199,7 @@ def train_reader(
             images=images, seed=seed, matrix=1024, kinds=("display",), protocols=_TRAINING_PROTOCOLS
         )
         make_with_progress(simulated, folder, workers, None)
-    errors, _ = make_reader(
-        folder,
-        settings,
-        out,
-        _print_progress,
-        workers,
-    )
+    errors, _ = make_reader(folder, settings, out, _print_progress, workers)
     record.save(out)
     _print_errors(errors)
     print(f"networks  {out}")
