@@ -30,6 +30,8 @@ def draw_displacements(count: int, size_px: int, sd: float) -> Tensor:
     (count, 2, size_px, size_px) tensor
         Displacement along rows and columns.
     """
+    if sd == 0:
+        return torch.zeros(count, 2, size_px, size_px)
     low, high = _FACTORS
     factor = sd * (low + (high - low) * torch.rand(count, 1, 1, 1))
     total = torch.zeros(count, 2, size_px, size_px)

@@ -67,8 +67,12 @@ def list_variants(base: ReaderTrainingSettings) -> Iterator[tuple[str, ReaderTra
 
 def select_images(images: TrainingImages, fraction: float) -> TrainingImages:
     """Return the first images, by fraction of their number."""
-    count = round(fraction * len(images.crops))
-    return TrainingImages(**{name: values[:count] for name, values in vars(images).items()})
+    return take_images(images, slice(round(fraction * len(images.crops))))
+
+
+def take_images(images: TrainingImages, part: slice) -> TrainingImages:
+    """Return a part of the images."""
+    return TrainingImages(**{name: values[part] for name, values in vars(images).items()})
 
 
 def measure_films(reader: Reader, films: Path, annotations: list[LandmarkAnnotation]) -> Row:

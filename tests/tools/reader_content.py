@@ -6,7 +6,7 @@ the same knees. The command writes OUT/reader_content.csv; a repeated run contin
 ``train``.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 import torch
 import typer
-from tools.reader_ablation import measure_films
+from tools.reader_ablation import measure_films, take_images
 
 import pssf
 from pssf.core.label_names import CONTOUR_LANDMARKS
@@ -23,6 +23,7 @@ from pssf.data.imaging.display_table import FlatPanelProcessing
 from pssf.dataset.dataset_plan import PlannedImage, plan_subject
 from pssf.dataset.dataset_settings import DatasetSettings
 from pssf.dataset.dataset_tables import DatasetTables, load_dataset_tables
+from pssf.dataset.sample import DISPLAY_KEY, make_stream
 from pssf.io.atomic_write import make_folder
 from pssf.io.cohort_records import write_csv
 from pssf.io.patients.landmark_annotations import read_landmark_annotations
@@ -38,18 +39,24 @@ from pssf.reader_training.training_settings import ReaderTrainingSettings
 
 Row = dict[str, Any]
 VARIANTS = ("all", "without texture", "without scatter", "uniform soft tissue", "one display", "one acquisition")
+# Fields of the protocol that a variant changes; the other variants have the pixels of the complete simulation.
+_CHANGED_PHYSICS: dict[str, dict[str, Any]] = {
+    "without texture": {"texture": "none"},
+    "without scatter": {"scatter": "none"},
+    "uniform soft tissue": {},
+}
 # Subjects that are made and stored together, and number of knees for the errors on simulations.
 _CHUNK = 20
 _TESTS = 60
 _MATRIX = 512
 
 
-def plan_knee(number: int, acquisition: str) -> tuple[PlannedImage, DatasetSettings, DatasetTables]:
+def plan_knee(number: int, acquisition: str) -> tuple[PlannedImage, DatasetTables]:
     """Plan one subject of a data set with sampled or fixed acquisitions."""
     settings = DatasetSettings(images=100_000, matrix=_MATRIX, kinds=("display",), acquisition=acquisition)
     tables = load_dataset_tables(settings)
     (planned,) = plan_subject(settings, tables, number, "train", attempt=0)
-    return planned, settings, tables
+    return planned, tables
 
 
 def make_variants(number: int) -> dict[str, dict[str, Any]] | None:
@@ -57,39 +64,31 @@ def make_variants(number: int) -> dict[str, dict[str, Any]] | None:
     try:
         images = {}
         for acquisition, names in (("sampled", VARIANTS[:-1]), ("fixed", VARIANTS[-1:])):
-            planned, _, tables = plan_knee(number, acquisition)
+            planned, tables = plan_knee(number, acquisition)
             built = pssf.build(planned.knee, planned.protocol)
             protocol = move_clear_of_detector(built.scene, built.aim_beam(planned.protocol))
-            truth = pssf.simulate(built, protocol, rng=0, workers=1, keep=("masks",)).truth
-            assert truth is not None
+            complete = pssf.simulate(built, protocol, rng=planned.seed, workers=1, keep=("masks",))
             for name in names:
-                images[name] = _make_image(name, built, protocol, planned, truth, tables)
+                images[name] = _make_image(name, built, complete, planned, tables)
     except pssf.InputError:
         return None
     return images
 
 
 def _make_image(
-    name: str,
-    built: pssf.BuiltKnee,
-    protocol: pssf.Protocol,
-    planned: PlannedImage,
-    truth: pssf.Truth,
-    tables: DatasetTables,
+    name: str, built: pssf.BuiltKnee, complete: pssf.Radiograph, planned: PlannedImage, tables: DatasetTables
 ) -> dict[str, Any]:
-    """Simulate one variant."""
-    changed = replace(
-        protocol,
-        texture="none" if name == "without texture" else protocol.texture,
-        scatter="none" if name == "without scatter" else protocol.scatter,
-    )
-    scene: Any = built
-    if name == "uniform soft tissue":
-        scene = _make_tissue_uniform(built.scene)
-    radiograph = pssf.simulate(scene, changed, rng=planned.seed, workers=1)
+    """Prepare one variant; `complete` is the radiograph with all parts, and has the labels of all variants."""
+    protocol, truth, radiograph = complete.protocol, complete.truth, complete
+    assert truth is not None
+    if name in _CHANGED_PHYSICS:
+        scene = _make_tissue_uniform(built.scene) if name == "uniform soft tissue" else built
+        changed = replace(protocol, **_CHANGED_PHYSICS[name])
+        radiograph = pssf.simulate(scene, changed, rng=planned.seed, workers=1)
     processing: str | FlatPanelProcessing = "processed"
     if name != "one display":
-        processing = sample_processing_from_table(tables.display, rng=np.random.default_rng(planned.appearance_seed))
+        rng = make_stream(planned.appearance_seed, DISPLAY_KEY)
+        processing = sample_processing_from_table(tables.display, rng=rng)
     display = pssf.render_for_display(radiograph, processing=processing).astype(np.uint8)
     coded = np.zeros(display.shape, np.uint8)
     for bit, bone in enumerate(BONES):
@@ -130,18 +129,11 @@ def load_images(out: Path, knees: int, workers: int) -> dict[str, TrainingImages
     }
 
 
-def split_images(images: TrainingImages) -> tuple[TrainingImages, TrainingImages]:
-    """Split images for training from the last ones, which are for tests."""
-    parts: list[Callable[[Any], Any]] = [lambda values: values[:-_TESTS], lambda values: values[-_TESTS:]]
-    train, test = (TrainingImages(**{name: part(values) for name, values in vars(images).items()}) for part in parts)
-    return train, test
-
-
 def train_variants(out: Path, images: dict[str, TrainingImages], settings: ReaderTrainingSettings) -> Iterator[Row]:
     """Train one network for each variant, and measure it on the simulations with all parts."""
-    _, tests = split_images(images["all"])
+    tests = take_images(images["all"], slice(-_TESTS, None))
     for name in VARIANTS:
-        train, _ = split_images(images[name])
+        train = take_images(images[name], slice(-_TESTS))
         folder = make_folder(out / name.replace(" ", "_"))
         network = train_landmark_network(train, settings, folder, lambda *_: None)
         errors = measure_hold_out(network, tests, settings)

@@ -61,7 +61,7 @@ _NOTCH_REACH = 0.125
 # Heights of the lateral and medial notch points above the condyle, as fractions of the height of the notch top above
 # the condyle. For 80 sampled knees with KL grades 0 to 4, the RMS distance between the mean positions of a grade and
 # those of the annotations (Tiulpin et al. 2019), over the five landmarks that depend on them, is 0.75 mm. With the mean
-# heights of the annotations, 0.355 and 0.404, it would be 0.94 mm, because simulated notches are wider.
+# heights of the annotations, 0.355 and 0.404, it would be 0.94 mm.
 _NOTCH_RISES = (0.39, 0.38)
 # Angles between the horizontal and the tangents that touch a bone at its lateral and medial edge, in degrees. For the
 # tibia, angles from 25 to 45 degrees were tested on the bones of 50 subjects (Clouthier et al. 2019) in fixed flexion.

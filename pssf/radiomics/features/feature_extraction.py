@@ -157,7 +157,7 @@ def extract_features(
             "firstorder_z", by.first_order(_compute_z_score(region, mask), pixel_mm, bins, _AFFINE_INVARIANT, mask)
         )
     if "shape2D" in families:
-        outline = next((one for one in (mask, bones) if one is not None), None)
+        outline = bones if mask is None else mask
         values |= _prefix_names(
             "shape2D", by.shape(segment_bone(region, pixel_mm) if outline is None else outline, pixel_mm)
         )
