@@ -18,6 +18,7 @@ dataset     settings             -> labelled images for the training of networks
 reader      image                -> landmarks, joint space and bone masks     (extra "reader")
 reader_training  data set        -> networks of the reader                    (extra "train")
 torch       data sets of PyTorch                                     (extra "torch")
+texture     fractal signature and other measures of trabecular bone, and their regions
 radiomics   radiograph           -> region and features              (extra "study")
 study       features             -> models, statistics, report       (extra "study")
 standard_templates  radiographs of reference knees, with which joints are localised  (extra "study")
