@@ -29,7 +29,7 @@ _FormerText = Annotated[str, typer.Option(hidden=True)]
 _FormerCount = Annotated[int, typer.Option(hidden=True)]
 _FormerNumber = Annotated[float, typer.Option(hidden=True)]
 _FORMER = (
-    *("bilateral", "engine", "families", "selections", "models", "backend", "difference", "strengths"),
+    *("bilateral", "engine", "selections", "models", "backend", "difference", "strengths"),
     *("films_protocol", "films_pixel_mm", "films_region_mm", "curve_knees", "sobol_samples", "sensitivity_knees"),
 )
 # Functions that convert the text of an option to the value of the setting with the same name.
@@ -37,7 +37,7 @@ _CONVERSIONS: dict[str, Callable[[Any], Any]] = {
     "knees": parse_knee_counts,
     "films": str,
     "strengths": partial(parse_numbers, "strengths"),
-    **dict.fromkeys(("protocols", "families", "selections", "models"), split_names),
+    **dict.fromkeys(("protocols", "families", "areas", "selections", "models"), split_names),
 }
 # Default values of deprecated options. A default value means that the user did not specify the option.
 _NOT_GIVEN = {"bilateral": -1, "films_pixel_mm": 0.0, "films_region_mm": 0.0}
@@ -72,6 +72,20 @@ def study(
             "(labels; patient radiographs then use the reader)."
         ),
     ] = "template",
+    families: Annotated[
+        str,
+        typer.Option(
+            help="Feature families, separated by commas: firstorder, shape2D, glcm, glrlm, glszm, ngtdm, gldm "
+            "(default), and the texture measures fsa, vot, hot, lbp and spectrum."
+        ),
+    ] = "",
+    areas: Annotated[
+        str,
+        typer.Option(
+            help="Measured areas, separated by commas: square (default), and regions of the tibia such as "
+            "medial_subchondral, which need --regions reader or truth."
+        ),
+    ] = "",
     films: Annotated[
         Path | None,
         typer.Option(
@@ -82,7 +96,6 @@ def study(
     until: Annotated[str, typer.Option(help="Last step of the run: features or report.")] = "report",
     bilateral: _FormerCount = -1,
     engine: _FormerText = "",
-    families: _FormerText = "",
     selections: _FormerText = "",
     models: _FormerText = "",
     backend: _FormerText = "",

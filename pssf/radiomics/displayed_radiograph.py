@@ -7,7 +7,7 @@ interpolation and blur of neighbouring pixels.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,9 +24,11 @@ from ..core.checks import (
 from ..core.resample import downsample_by_blocks
 from ..data.analysis.localisation_table import LocalisationSettings
 from ..data.code_hash import require_same_code
+from ..texture import TEXTURE_FAMILIES
+from .features.area_features import measure_areas, resample_around_plateau
 from .features.feature_backends import default_backend
 from .features.feature_extraction import extract_features
-from .features.feature_families import FAMILIES
+from .features.feature_families import FAMILIES, SQUARE
 from .features.feature_table import (
     FILM_COLUMNS,
     SCORE_COLUMNS,
@@ -49,6 +51,7 @@ from .radiomics_tables import RadiomicsTables
 
 # Feature families that remain informative after histogram matching; see `match_template_histogram`.
 TONE_INVARIANT_FAMILIES = tuple(family for family in FAMILIES if family != "firstorder")
+FILM_FAMILIES = (*TONE_INVARIANT_FAMILIES, *TEXTURE_FAMILIES)
 UNREADABLE = "unreadable"
 
 
@@ -87,6 +90,8 @@ class DisplayExtractionSettings:
         Feature library, "pyradiomics" or "mirp". The default is pyradiomics if it is installed, else MIRP.
     regions : {"template", "reader"}
         Source of the position of the region.
+    areas : tuple of str
+        Areas to measure, from `feature_families.AREAS`. Areas other than "square" need landmarks.
 
     Raises
     ------
@@ -100,6 +105,7 @@ class DisplayExtractionSettings:
     families: tuple[str, ...] = TONE_INVARIANT_FAMILIES
     backend: str = field(default_factory=default_backend)
     regions: str = "template"
+    areas: tuple[str, ...] = (SQUARE,)
 
     def __post_init__(self) -> None:
         """Check the ranges of pixel size and region size, and the source of the position."""
@@ -195,7 +201,11 @@ def measure_display(
     if region is not None:
         bright = region if joint.polarity == "bone bright" else -region
         signal = match_template_histogram(bright, templates[0], settings.pixel_mm)
-        record |= _extract(signal, joint, settings, tables)
+        grey, turned = np.sort(bright, axis=None), -1.0 if joint.polarity == "bone dark" else 1.0
+        signals = np.sort(signal, axis=None)[::-1].astype(np.float64)
+        record |= _extract(
+            signal, joint, settings, tables, square, lambda values: np.interp(turned * values, grey, signals)
+        )
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 
@@ -273,7 +283,7 @@ def measure_linear(
     record["film_knees"] = _count_knees(compute_density(pixels), record, job.pixel_mm, templates, tables.localisation)
     if region is not None:
         signal = np.clip(np.rint(region), 0, 65535).astype(np.uint16)
-        record |= _extract(signal, joint, settings, tables)
+        record |= _extract(signal, joint, settings, tables, pixels, lambda values: values)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 
@@ -379,10 +389,27 @@ def cut_resampled_region(
 
 
 def _extract(
-    signal: NDArray[np.uint16], joint: JointLocation, settings: DisplayExtractionSettings, tables: RadiomicsTables
-) -> dict[str, float]:
-    """Measure the features of a resampled region (region_px, region_px)."""
-    return extract_features(
+    signal: NDArray[np.uint16],
+    joint: JointLocation,
+    settings: DisplayExtractionSettings,
+    tables: RadiomicsTables,
+    pixels: NDArray[np.generic],
+    to_signal: Callable[[Array], Array],
+) -> dict[str, Any]:
+    """Measure a resampled region (region_px, region_px), and the areas of the image (rows, cols) of which it is part.
+
+    `to_signal` converts grey values of the image to the signal of the region, in DN.
+    """
+    of_areas: dict[str, float] | None = {}
+    if any(area != SQUARE for area in settings.areas):
+        resampled, moved = resample_around_plateau(pixels, joint, settings.pixel_mm)
+        whole = np.clip(np.rint(to_signal(resampled)), 0, 65535).astype(np.uint16)
+        of_areas = measure_areas(whole, moved, settings.pixel_mm, settings, tables.tags)
+    if of_areas is None:
+        return {"status": "leaves image"}
+    if SQUARE not in settings.areas:
+        return of_areas
+    return of_areas | extract_features(
         signal,
         settings.pixel_mm,
         tables.tags,

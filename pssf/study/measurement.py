@@ -6,7 +6,10 @@ from pathlib import Path
 import pandas as pd
 
 from ..core.checks import InputError, require_choice
+from ..core.label_names import TIBIAL_LANDMARKS
 from ..io import study_results
+from ..radiomics.features.area_features import require_resolved_texture
+from ..radiomics.features.feature_families import SQUARE
 from ..radiomics.features.feature_table import (
     NON_FEATURE_COLUMNS,
     TEXT_COLUMNS,
@@ -206,7 +209,9 @@ def _measure_records(
     known: dict[str, Record] = {}
     if earlier is not None and "sha256" in earlier:
         known = {row["sha256"]: row for row in earlier.to_dict("records")}
-    jobs = _make_jobs(radiographs, with_truth=settings.regions == "truth")
+    require_resolved_texture(float(radiographs["pixel_mm"].max()), settings.families)
+    with_landmarks = settings.regions == "truth" and set(settings.areas) != {SQUARE}
+    jobs = _make_jobs(radiographs, with_truth=settings.regions == "truth", with_landmarks=with_landmarks)
     records, work = measure_radiographs(
         jobs,
         load_pixels=run.load_pixels,
@@ -218,6 +223,7 @@ def _measure_records(
             families=settings.families,
             backend=settings.backend,
             regions=settings.regions,
+            areas=settings.areas,
         ),
         execution=run.execution,
         known_records=known,
@@ -227,13 +233,24 @@ def _measure_records(
     return pd.DataFrame(records).drop(columns="sha256"), work
 
 
-def _make_jobs(radiographs: pd.DataFrame, with_truth: bool) -> list[MeasurementJob]:
-    """Make one measurement job per radiograph, with the true medial joint line if it is used."""
+def _make_jobs(radiographs: pd.DataFrame, with_truth: bool, with_landmarks: bool) -> list[MeasurementJob]:
+    """Make one measurement job per radiograph, with the true medial joint line and landmarks if they are used."""
     truth = ["truth_medial_row_px", "truth_medial_col_px"]
     jobs = make_measurement_jobs(radiographs.to_dict("records"))
     if not with_truth:
         return jobs
-    return [
+    placed = [
         replace(job, place_px=(float(row), float(col)))
         for job, (row, col) in zip(jobs, radiographs[truth].to_numpy(), strict=True)
+    ]
+    if not with_landmarks:
+        return placed
+    columns = [f"truth_{name}_{axis}_px" for name in TIBIAL_LANDMARKS for axis in ("row", "col")]
+    missing = [column for column in columns if column not in radiographs]
+    if missing:
+        raise InputError(f"radiographs must have true tibial landmarks for areas, got no column {missing[0]}")
+    places = radiographs[columns].to_numpy(float).reshape(len(radiographs), -1, 2).tolist()
+    return [
+        replace(job, landmarks_px={name: (row, col) for name, (row, col) in zip(TIBIAL_LANDMARKS, of_job, strict=True)})
+        for job, of_job in zip(placed, places, strict=True)
     ]

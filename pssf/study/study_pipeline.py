@@ -190,6 +190,7 @@ def _pack_models(study: StudyData) -> dict[str, bytes]:
             families=settings.families,
             backend=settings.backend,
             regions=settings.film_regions,
+            areas=settings.areas,
             bins=settings.bins,
             pixel_mm=pixel_mm,
             region_px=settings.region_px,

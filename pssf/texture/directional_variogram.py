@@ -57,7 +57,7 @@ def interpolate_variogram(squares: Array, directions_deg: Array, scales_px: Arra
 
     Parameters
     ----------
-    squares : (2 reach + 1, 2 reach + 1) array, grey^2
+    squares : (2 reach + 1, 2 reach + 1) array, squared grey
         Mean square by displacement, with displacement 0 in the middle; 0 where it is unknown.
     directions_deg : (d,) array
         Directions, in degrees counter-clockwise from the rows of the image.

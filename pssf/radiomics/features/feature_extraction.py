@@ -7,9 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import Array, InputError, require_choice
+from ...texture import TEXTURE_FAMILIES, measure_texture_features
 from .bone_mask import segment_bone
 from .feature_backends import default_backend, require_backend
-from .feature_families import FAMILIES, TEXTURES
+from .feature_families import ALL_FAMILIES, FAMILIES, TEXTURES
 from .ibsi_tags import IbsiTags
 
 # First-order features that do not change if grey values are shifted and scaled. They are omitted for the z-score, where
@@ -110,7 +111,8 @@ def extract_features(
 
     First-order features are measured twice: from the linear signal (`firstorder_linear_*`) and from its z-score over
     the region (`firstorder_z_*`). Shape features describe the segmented bone in the region. Texture features are
-    measured after binning from minimum to maximum, so gain and offset do not affect them.
+    measured after binning from minimum to maximum, so gain and offset do not affect them. The families of
+    `texture.TEXTURE_FAMILIES` are measured without binning.
 
     Parameters
     ----------
@@ -124,7 +126,7 @@ def extract_features(
     bins : int
         Number of grey-level bins. With a power of two, bin edges are free of rounding errors.
     families : collection of str
-        Feature families to measure, from FAMILIES.
+        Feature families to measure, from ALL_FAMILIES.
     backend : {"pyradiomics", "mirp"} or None
         Feature library; None for pyradiomics if it is installed, else MIRP.
     mask : (size, size) bool array or None
@@ -141,14 +143,15 @@ def extract_features(
     Raises
     ------
     InputError
-        The grey values are not integers, a family is unknown, or the backend is not installed.
+        The grey values are not integers, a family is unknown, or the backend is not installed; or the region
+        is too small or its pixels too large for a texture measure (`texture.texture_scales.prepare_region`).
     """
     if not np.issubdtype(region.dtype, np.integer):
         raise InputError(
             f"region must have an integer type, got {region.dtype}: rounding errors would affect grey-level bins"
         )
     for name in families:
-        require_choice("family", name, FAMILIES)
+        require_choice("family", name, ALL_FAMILIES)
     by = load_extractor(default_backend() if backend is None else backend, tags)
     values: dict[str, float] = {}
     if "firstorder" in families:
@@ -164,6 +167,9 @@ def extract_features(
     of_texture = [name for name in TEXTURES if name in families]
     for name, of_family in by.textures(region, pixel_mm, bins, of_texture, mask).items():
         values |= _prefix_names(name, of_family)
+    of_bone = [name for name in TEXTURE_FAMILIES if name in families]
+    if of_bone:
+        values |= measure_texture_features(region, pixel_mm=pixel_mm, mask=mask, families=of_bone)
     return values
 
 

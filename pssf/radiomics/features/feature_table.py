@@ -15,14 +15,15 @@ from ...core.processes.execution import Execution
 from ...core.processes.parallel_map import map_in_parallel
 from ...core.stage_timer import make_interval_check
 from ...data.code_hash import compute_code_hashes, require_same_code
-from ..localisation.joint_localisation import JointLocation
+from ..localisation.joint_localisation import JointLocation, Landmarks
 from ..localisation.region_of_interest import cut_region
 from ..localisation.region_placement import hash_reader, locate_region
 from ..localisation.templates import Template
 from ..radiomics_tables import RadiomicsTables
+from .area_features import measure_areas
 from .feature_backends import BACKENDS, default_backend
 from .feature_extraction import extract_features
-from .feature_families import FAMILIES
+from .feature_families import FAMILIES, SQUARE
 
 Record = dict[str, Any]
 LoadPixels = Callable[[str], NDArray[np.uint16]]
@@ -33,7 +34,7 @@ TEXT_COLUMNS = ("radiograph", "sha256", "settings", "checksum", "status", *FILM_
 SCORE_COLUMNS = ("score", "compartment_score", "side_margin", "orientation_margin", "scale")
 NON_FEATURE_COLUMNS = (*TEXT_COLUMNS, "row_px", "col_px", "film_pixel_mm", *SCORE_COLUMNS)
 # Subpackages whose code and tables affect feature records. Their hashes are included in the settings hash.
-_CODE_PACKAGES = ("core", "data", "detector", "io", "radiomics", "reader")
+_CODE_PACKAGES = ("core", "data", "detector", "io", "radiomics", "reader", "texture")
 _LIBRARIES = ("numpy", "scikit-image", "scipy")
 # Columns of a table of radiographs that a measurement uses.
 _JOB_COLUMNS = ("radiograph", "file", "sha256", "side", "pixel_mm")
@@ -59,6 +60,8 @@ class MeasurementJob:
         Pixel size, in mm; None only for a patient radiograph of unknown pixel size.
     place_px : (row, column) tuple or None, default None
         True position of the medial joint line, in pixels; None if unknown or not used.
+    landmarks_px : dict of str to (row, column) tuple, or None, default None
+        True landmarks of the tibia, in pixels; None if unknown or not used.
     """
 
     radiograph: str
@@ -67,6 +70,7 @@ class MeasurementJob:
     side: str | None
     pixel_mm: float | None
     place_px: tuple[float, float] | None = None
+    landmarks_px: Landmarks | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +89,8 @@ class ExtractionSettings:
         Feature library, "pyradiomics" or "mirp". The default is pyradiomics if it is installed, else MIRP.
     regions : {"template", "reader", "truth"}
         Source of the position of the region.
+    areas : tuple of str
+        Areas to measure, from `feature_families.AREAS`. Areas other than "square" need landmarks.
     """
 
     region_px: int = 512
@@ -92,6 +98,7 @@ class ExtractionSettings:
     families: tuple[str, ...] = FAMILIES
     backend: str = field(default_factory=default_backend)
     regions: str = "template"
+    areas: tuple[str, ...] = (SQUARE,)
 
 
 def measure_radiographs(
@@ -237,6 +244,7 @@ def measure_radiograph(
         pixel_mm=job.pixel_mm,
         region_px=settings.region_px,
         place_px=job.place_px,
+        landmarks_px=job.landmarks_px,
     )
     located = perf_counter()
     record: Record = {
@@ -248,9 +256,11 @@ def measure_radiograph(
         **{name: getattr(joint, name) for name in SCORE_COLUMNS},
     }
     if joint.status == "found":
-        region = cut_region(pixels, joint.row, joint.col, settings.region_px)
+        of_areas = measure_areas(pixels, joint, job.pixel_mm, settings, tables.tags)
+        record |= {"status": "leaves image"} if of_areas is None else of_areas
+    if record["status"] == "found" and SQUARE in settings.areas:
         record |= extract_features(
-            region,
+            cut_region(pixels, joint.row, joint.col, settings.region_px),
             job.pixel_mm,
             tables.tags,
             settings.bins,

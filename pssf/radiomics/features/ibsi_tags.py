@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 
-from .feature_families import feature_family
+from .feature_families import feature_family, split_area
 
 IbsiTags = Mapping[str, Mapping[str, str]]
 
@@ -46,5 +46,5 @@ def find_ibsi_departure(name: str, tags: IbsiTags) -> str:
 
 
 def _short_name(name: str) -> str:
-    """Return a feature name without its family and image prefix."""
-    return name.rsplit("_", 1)[1]
+    """Return a feature name without its family, image prefix and area."""
+    return split_area(name)[0].rsplit("_", 1)[1]

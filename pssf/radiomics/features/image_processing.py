@@ -2,6 +2,7 @@
 
 from collections.abc import Collection
 
+from ...texture import SCALES_MM, TEXTURE_FAMILIES
 from .feature_families import TEXTURES
 
 # Texture settings of both backends. With these settings, both backends reproduce the reference values of the IBSI
@@ -16,6 +17,16 @@ _TEXTURE_PROCESSING = {
     "one matrix for all in-plane directions",
 }
 
+_SCALES = f"at {len(SCALES_MM)} scales from {SCALES_MM[0]:g} to {SCALES_MM[-1]:g} mm"
+_BONE_PROCESSING = {
+    "fsa": f"fractal signature by dilation and erosion with horizontal and vertical rods {_SCALES}",
+    "vot": f"variance orientation transform in 36 directions {_SCALES}",
+    "hot": f"Hurst orientation transform in 18 directions {_SCALES}",
+    "lbp": "rotation-invariant uniform local binary patterns of 8 points at radii of 0.4 and 0.8 mm, of ranked grey "
+    "values",
+    "spectrum": f"exponent of the power spectrum for half periods from {SCALES_MM[0]:g} to {SCALES_MM[-1]:g} mm",
+}
+
 
 def describe_processing(region_px: int, bins: int, families: Collection[str]) -> dict[str, str | dict[str, str]]:
     """Describe each grey-value processing step in words.
@@ -27,12 +38,13 @@ def describe_processing(region_px: int, bins: int, families: Collection[str]) ->
     bins : int
         Number of grey-level bins.
     families : collection of str
-        Measured families, from FAMILIES. Processing steps that these families do not need are omitted.
+        Measured families, from ALL_FAMILIES. Processing steps that these families do not need are omitted.
 
     Returns
     -------
     dict of str to str, or to dict of str to str
-        Description of each processing step, keyed by step. The step "texture" has one matrix description per family.
+        Description of each processing step, keyed by step. The steps "texture" and
+        "bone_texture" have one description per family.
     """
     steps: dict[str, str | dict[str, str]] = {
         "images": "one linear radiograph (DICOM For Processing); no derived images",
@@ -52,4 +64,7 @@ def describe_processing(region_px: int, bins: int, families: Collection[str]) ->
     if texture:
         steps["discretisation"] = f"{bins} bins of equal width from the minimum to the maximum of the region"
         steps["texture"] = texture
+    of_bone = {name: _BONE_PROCESSING[name] for name in TEXTURE_FAMILIES if name in families}
+    if of_bone:
+        steps["bone_texture"] = of_bone
     return steps

@@ -1,6 +1,6 @@
 """Joint localisation: position of the medial joint line in a radiograph, with knee side, orientation and size."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -28,6 +28,8 @@ from .templates import (
     make_poses,
 )
 
+# Row and column of each landmark, in pixels.
+Landmarks = Mapping[str, tuple[float, float]]
 STATUSES = ("found", "no knee", "upside down", "wrong side", "wrong scale", "low score", "leaves image")
 
 
@@ -75,6 +77,8 @@ class JointLocation:
         Pixel height divided by pixel width; `pixel_mm` is the width.
     bones : (rows, cols) bool array or None
         Mask of femur and tibia in the radiograph; None if the localisation does not segment the bones.
+    landmarks_px : dict of str to (row, column) tuple, or None
+        Landmarks of the tibia, in pixels of the radiograph; None if the localisation does not find landmarks.
     """
 
     row: float
@@ -95,6 +99,7 @@ class JointLocation:
     visible_fraction: float
     pixel_height: float = 1.0
     bones: NDArray[np.bool_] | None = field(default=None, repr=False, compare=False)
+    landmarks_px: Landmarks | None = field(default=None, repr=False, compare=False)
 
     @property
     def square_pixel_row(self) -> float:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.checks import Array, InputError
+from ...core.label_names import TIBIAL_LANDMARKS
 from ...data.analysis.localisation_table import LocalisationSettings
 from ...io.cohort_records import hash_file
 from ...reader.knee_frame import PLATEAU_EDGES, fit_frame
@@ -23,7 +24,7 @@ from ...reader.knee_reading import (
     read_knees,
 )
 from ...reader.reader_table import PACKAGE_FOLDER, TABLE_FILE
-from .joint_localisation import ORIENTATIONS, JointLocation, locate_joint_in_radiograph
+from .joint_localisation import ORIENTATIONS, JointLocation, Landmarks, locate_joint_in_radiograph
 from .region_of_interest import region_fits
 from .templates import Template, compute_density
 
@@ -63,6 +64,7 @@ def locate_region(
     pixel_mm: float,
     region_px: int,
     place_px: tuple[float, float] | None,
+    landmarks_px: Landmarks | None = None,
 ) -> JointLocation:
     """Locate the joint in the linear pixels of a radiograph, by the chosen source.
 
@@ -84,6 +86,8 @@ def locate_region(
         Edge length of the region that must be inside the image, in pixels.
     place_px : (row, column) tuple or None
         True position of the medial joint line, in pixels; None if unknown.
+    landmarks_px : dict of str to (row, column) tuple, optional
+        True landmarks of the tibia, in pixels; only `regions` "truth" uses them.
 
     Returns
     -------
@@ -98,7 +102,8 @@ def locate_region(
     if regions == "truth":
         if place_px is None:
             raise InputError("regions = 'truth' needs simulated radiographs with labels, got no true position")
-        return locate_joint_at(place_px, pixels.shape, side=side, pixel_mm=pixel_mm, region_px=region_px)
+        true = locate_joint_at(place_px, pixels.shape, side=side, pixel_mm=pixel_mm, region_px=region_px)
+        return replace(true, landmarks_px=landmarks_px)
     if regions == "reader":
         density = compute_density(pixels)
         return locate_joint_by_reader(density, templates[0], side=side, pixel_mm=pixel_mm, region_px=region_px)
@@ -135,8 +140,8 @@ def locate_joint_by_reader(
     -------
     JointLocation
         Location of the joint. `score` is the score of the knee, `compartment_score` the median confidence of the
-        landmarks, and the margins are 1 or -1. The position is NaN if no knee was read. `bones` are the masks of the
-        reader.
+        landmarks, and the margins are 1 or -1. The position is NaN if no knee was read. `bones` and
+        `landmarks_px` are those of the reader.
 
     Raises
     ------
@@ -172,7 +177,8 @@ def locate_joint_by_reader(
         scale=scale,
         pixel_mm_source="plateau" if pixel_mm is None else "given",
     )
-    return replace(location, bones=knee.masks["femur"] | knee.masks["tibia"])
+    tibia = {name: knee.landmarks_px[name] for name in TIBIAL_LANDMARKS}
+    return replace(location, bones=knee.masks["femur"] | knee.masks["tibia"], landmarks_px=tibia)
 
 
 def locate_joint_at(

@@ -10,7 +10,7 @@ from ...core.checks import (
     require_seed,
 )
 from ...radiomics.features.feature_backends import default_backend, require_backend
-from ...radiomics.features.feature_families import FAMILIES
+from ...radiomics.features.feature_families import ALL_FAMILIES, AREAS, FAMILIES, SQUARE
 from ...radiomics.localisation.region_placement import REGIONS
 
 # Label of each feature selection and classifier in reports, keyed by its name in settings and tables.
@@ -57,11 +57,15 @@ class StudySettings:
     regions : {"template", "reader", "truth"}
         Source of the position of the regions on simulated radiographs: search with templates, landmarks of `pssf.read`,
         or true labels. On patient radiographs, "truth" means "reader".
+    areas : tuple of str
+        Areas to measure, from `radiomics.features.feature_families.AREAS`: the square around the medial joint line, and
+        regions of the tibia, which follow from landmarks and need `regions` "reader" or "truth". The pixels must be at
+        most 0.2 mm for the families of `texture.TEXTURE_FAMILIES`.
 
     Raises
     ------
     InputError
-        A value is out of range or unknown, or a list contains a value twice.
+        A value is out of range or unknown, a list contains a value twice, or regions of the tibia have no landmarks.
     """
 
     region_px: int = 512
@@ -79,6 +83,7 @@ class StudySettings:
     reference: str = "reference"
     backend: str = field(default_factory=default_backend)
     regions: str = "template"
+    areas: tuple[str, ...] = (SQUARE,)
 
     def __post_init__(self) -> None:
         require_integer("region_px", self.region_px, 16, 4096, "pixels")
@@ -97,7 +102,12 @@ class StudySettings:
             raise InputError(
                 f"strengths must include 0, and each value once, got {', '.join(map(str, self.strengths)) or 'none'}"
             )
-        for name, allowed in (("families", FAMILIES), ("selections", SELECTIONS), ("models", MODELS)):
+        for name, allowed in (
+            ("families", ALL_FAMILIES),
+            ("areas", AREAS),
+            ("selections", SELECTIONS),
+            ("models", MODELS),
+        ):
             given = getattr(self, name)
             if not given:
                 raise InputError(f"{name} must contain at least one of {', '.join(allowed)}, got none")
@@ -105,6 +115,8 @@ class StudySettings:
                 require_choice(name, choice, tuple(allowed))
             if len(set(given)) < len(given):
                 raise InputError(f"{name} must list each entry once, got {', '.join(given)}")
+        if self.regions == "template" and set(self.areas) != {SQUARE}:
+            raise InputError(f"areas must be {SQUARE} if regions is template, got {', '.join(self.areas)}")
 
     @property
     def film_regions(self) -> str:

@@ -20,6 +20,7 @@ from sklearn.preprocessing import StandardScaler
 from ...core.processes.execution import Execution
 from ...data.code_hash import require_same_code
 from ...radiomics.features.feature_families import TEXTURES, feature_family
+from ...texture import TEXTURE_FAMILIES
 from ..design.study_settings import StudySettings
 from ..predictions import find_class_indices
 from ..statistics.analyses.knee_parameters import PARAMETERS
@@ -204,7 +205,7 @@ def find_predictor_sets(predictor_table: pd.DataFrame, names: list[str]) -> dict
         Columns of each predictor set, keyed by its name in `PREDICTOR_SETS`.
     """
     columns = tuple(name for name in PARAMETERS if name in predictor_table)
-    textures = tuple(name for name in names if feature_family(name) in TEXTURES)
+    textures = tuple(name for name in names if feature_family(name) in (*TEXTURES, *TEXTURE_FAMILIES))
     read = _MEASURED if set(_MEASURED) <= set(predictor_table) else ()
     predictor_sets = {
         "parameters": PredictorSet((), (*columns, "true_least_mm")) if read else PredictorSet((), ()),

@@ -112,6 +112,7 @@ def predict_films(
         families=card.families,
         backend=resolve_backend(card),
         regions=card.regions,
+        areas=card.areas,
     )
     jobs = [replace(make_film_job(film), radiograph=str(place)) for place, film in enumerate(films)]
     sorted_jobs = {job.radiograph: _resolve_linear_job(folder, job, linear, card.reads == "display") for job in jobs}

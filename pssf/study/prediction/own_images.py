@@ -21,7 +21,7 @@ from ...io.radiograph_files import load
 from ...model.radiograph import Radiograph
 from ...radiomics.features.feature_backends import require_backend
 from ...radiomics.features.feature_extraction import extract_features
-from ...radiomics.features.feature_families import FAMILIES
+from ...radiomics.features.feature_families import ALL_FAMILIES, FAMILIES
 from .. import require_extra
 
 # Smallest allowed mask, in pixels; pyradiomics computes no shape or texture features of a smaller mask.
@@ -62,7 +62,8 @@ def features(
         Number of grey-level bins of the texture features, 8 to 256. The bins have equal width and span the grey values
         inside the mask.
     families : collection of str
-        Feature families to measure: firstorder, shape2D, glcm, glrlm, glszm, ngtdm, gldm. The default is all.
+        Feature families to measure: firstorder, shape2D, glcm, glrlm, glszm, ngtdm, gldm (default), and the texture
+        measures fsa, vot, hot, lbp and spectrum, which require at least two pixels per 0.4 mm.
     backend : str, optional
         Radiomics backend: "pyradiomics" or "mirp". None uses the first installed backend.
 
@@ -93,7 +94,7 @@ def features(
     if isinstance(families, str):
         families = (families,)
     for name in families:
-        require_choice("family", name, FAMILIES)
+        require_choice("family", name, ALL_FAMILIES)
     if backend is not None:
         require_backend(backend)
     values, known_mm = _read_grey_values(image)

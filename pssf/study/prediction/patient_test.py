@@ -20,7 +20,7 @@ from ...data.analysis.localisation_table import LocalisationSettings
 from ...io import study_results
 from ...io.patients.patient_radiographs import Film
 from ...radiomics.displayed_radiograph import (
-    TONE_INVARIANT_FAMILIES,
+    FILM_FAMILIES,
     DisplayExtractionSettings,
     locate_joint_in_display,
     measure_display,
@@ -144,9 +144,9 @@ def check_films(films: FilmSet, manifest: pd.DataFrame, settings: StudySettings,
     """
     require_plateau_width(templates)
     require_choice("films_protocol", films.protocol, sorted(set(manifest["protocol"])))
-    if not set(settings.families) & set(TONE_INVARIANT_FAMILIES):
+    if not set(settings.families) & set(FILM_FAMILIES):
         raise InputError(
-            f"families must include at least one of {', '.join(TONE_INVARIANT_FAMILIES)} with films, got "
+            f"families must include at least one of {', '.join(FILM_FAMILIES)} with films, got "
             f"{', '.join(settings.families)}: other families depend on the tone curve of the display"
         )
 
@@ -184,7 +184,7 @@ def evaluate_on_films(bench: MeasurementContext, films: FilmSet, manifest: pd.Da
     bench = replace(bench, templates=templates)
     with bench.execution.timer.stage("pixel pitch and region of patient radiographs"):
         pixel_mm, region_mm = _resolve_pitch_and_region_mm(films, templates, law, pitch_mm, largest_mm)
-    families = tuple(family for family in settings.families if family in TONE_INVARIANT_FAMILIES)
+    families = tuple(family for family in settings.families if family in FILM_FAMILIES)
     how = DisplayExtractionSettings(
         pixel_mm=pixel_mm,
         region_px=round(region_mm / pixel_mm),
@@ -192,6 +192,7 @@ def evaluate_on_films(bench: MeasurementContext, films: FilmSet, manifest: pd.Da
         families=families,
         backend=settings.backend,
         regions=settings.film_regions,
+        areas=settings.areas,
     )
     jobs = make_measurement_jobs(cohort.to_dict("records"))
     own = _measure_jobs(bench, how, jobs, films.load_cohort, "cohort as displayed")
@@ -333,6 +334,7 @@ def _pack_film_model(
         families=display_settings.families,
         backend=display_settings.backend,
         regions=display_settings.regions,
+        areas=display_settings.areas,
         bins=display_settings.bins,
         pixel_mm=display_settings.pixel_mm,
         region_px=display_settings.region_px,

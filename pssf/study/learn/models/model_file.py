@@ -22,6 +22,7 @@ from ....core.checks import Array, InputError
 from ....data.code_hash import compute_code_hashes, format_differing_parts
 from ....data.table_records import Record
 from ....radiomics.features.feature_backends import BACKENDS, select_backend
+from ....radiomics.features.feature_families import SQUARE
 from ....radiomics.localisation.templates import Template
 from ...libraries import XGBOOST
 from .final_models import RefittedModel
@@ -156,6 +157,8 @@ class ModelCard(Record, frozen=True):
         Radiomics backend that measured the features. Older files have no backend field and used pyradiomics.
     regions : {"template", "reader"}
         Source of the position of the regions. Older files have no regions field and used templates.
+    areas : tuple of str
+        Measured areas. Older files have no areas field and used the square.
     """
 
     format: str
@@ -180,6 +183,7 @@ class ModelCard(Record, frozen=True):
     made_by: SoftwareVersions
     backend: str = "pyradiomics"
     regions: str = "template"
+    areas: tuple[str, ...] = (SQUARE,)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -245,7 +249,7 @@ def pack_model(kept: RefittedModel, templates: Sequence[Template], **card_entrie
     templates : sequence of Template
         Templates cropped by `radiomics.localisation.crop_template`.
     **card_entries : Any
-        Fields of `ModelCard` that `kept` does not contain: reads, grade_names, families, backend, regions, bins,
+        Fields of `ModelCard` that `kept` does not contain: reads, grade_names, families, backend, regions, areas, bins,
         pixel_mm, region_px, trained_on, seed.
 
     Returns

@@ -7,16 +7,32 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from ....radiomics.features.feature_families import FAMILIES, feature_family
+from ....radiomics.features.feature_families import ALL_FAMILIES, feature_family
 from ...design.study_settings import MODELS
 from ...statistics.features.reliability import ICC_FORMS, ICC_THRESHOLD
 from .result_figures import MODEL_COLOURS, encode_png, format_protocol
 
 # Feature family -> label in figures and tables.
-FAMILY_NAMES = dict(zip(FAMILIES, ("First order", "Shape", "GLCM", "GLRLM", "GLSZM", "NGTDM", "GLDM"), strict=True))
-# Colours of Okabe and Ito 2008, one per family.
+FAMILY_NAMES = dict(
+    zip(
+        ALL_FAMILIES,
+        (
+            *("First order", "Shape", "GLCM", "GLRLM", "GLSZM", "NGTDM", "GLDM"),
+            *("Fractal signature", "VOT", "HOT", "Binary patterns", "Spectrum"),
+        ),
+        strict=True,
+    )
+)
+# Colours of Okabe and Ito 2008 for the families of radiomics, and of Tol 2021 (muted) for the others.
 _FAMILY_COLOURS = dict(
-    zip(FAMILIES, ("#000000", "#E69F00", "#0072B2", "#56B4E9", "#D55E00", "#009E73", "#CC79A7"), strict=True)
+    zip(
+        ALL_FAMILIES,
+        (
+            *("#000000", "#E69F00", "#0072B2", "#56B4E9", "#D55E00", "#009E73", "#CC79A7"),
+            *("#332288", "#882255", "#999933", "#44AA99", "#CC6677"),
+        ),
+        strict=True,
+    )
 )
 
 
@@ -59,7 +75,7 @@ def _draw_stability(axis: Any, reliability: pd.DataFrame) -> Any:
     table = reliability.pivot(index="feature", columns="conditions", values=ICC_FORMS[0])[sets]
     mean = table.mean(axis=1)
     order = sorted(
-        table.index, key=lambda name: (FAMILIES.index(feature_family(name)), -np.nan_to_num(mean[name], nan=-9))
+        table.index, key=lambda name: (ALL_FAMILIES.index(feature_family(name)), -np.nan_to_num(mean[name], nan=-9))
     )
     axis.set_facecolor("0.82")
     values = table.loc[order].to_numpy(dtype=float)
@@ -91,7 +107,7 @@ def _draw_leading_features(axis: Any, importance: pd.DataFrame, strongest_parame
     axis.set_xlim(0, 1.35 * values.max())
     axis.set_xlabel("mean importance", fontsize=9)
     axis.spines[["top", "right"]].set_visible(False)
-    present = [name for name in FAMILIES if name in {feature_family(one) for one in names}]
+    present = [name for name in ALL_FAMILIES if name in {feature_family(one) for one in names}]
     handles = [Patch(color=_FAMILY_COLOURS[name], label=FAMILY_NAMES[name]) for name in present]
     axis.legend(handles=handles, fontsize=8, frameon=False, loc="lower right")
 
@@ -112,7 +128,7 @@ def draw_icc_heat_map(reliability: pd.DataFrame) -> bytes:
     table = reliability.pivot(index="feature", columns="conditions", values=list(ICC_FORMS))
     sets = list(dict.fromkeys(reliability["conditions"]))
     columns = [(form, label) for form in ICC_FORMS for label in sets]
-    order = sorted(table.index, key=lambda name: (FAMILIES.index(feature_family(name)), name))
+    order = sorted(table.index, key=lambda name: (ALL_FAMILIES.index(feature_family(name)), name))
     values = table.loc[order, columns].to_numpy(dtype=float)
     half = -(-len(order) // 2)
     figure = Figure(figsize=(10.2, 0.17 * half + 2.2), layout="constrained")

@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from ....radiomics.features.feature_families import FAMILIES, feature_family
+from ....radiomics.features.feature_families import ALL_FAMILIES, FAMILIES, feature_family
 from ...design.study_settings import StudySettings
 
 # Number of the most important features, which figures show individually.
@@ -51,7 +51,8 @@ def sum_by_family(features: pd.DataFrame, value: str = "importance") -> pd.DataF
         One row per family and one column per model; 0 for a family without features.
     """
     summed = features.assign(family=features["feature"].map(feature_family)).groupby(["family", "model"])[value].sum()
-    return summed.unstack("model").reindex(FAMILIES).fillna(0.0)
+    by_model = summed.unstack("model")
+    return by_model.reindex([name for name in ALL_FAMILIES if name in FAMILIES or name in by_model.index]).fillna(0.0)
 
 
 def select_leading_features(features: pd.DataFrame, settings: StudySettings) -> list[str]:
