@@ -77,6 +77,8 @@ if TYPE_CHECKING:
 
     __version__: str
 
+# Subpackages with public names of their own, which are loaded on first use.
+_SUBPACKAGES = ("dataset", "texture")
 _WHERE = {
     "anatomy": ("BuiltKnee", "SurgeryNotice", "build"),
     "core.checks": ("InputError",),
@@ -172,6 +174,8 @@ def __getattr__(name: str) -> Any:
         return __getattr__(_RENAMED[name])
     if name == "__version__":
         return import_module("importlib.metadata").version(__name__)
+    if name in _SUBPACKAGES:
+        return import_module(f".{name}", __name__)
     for module, names in _WHERE.items():
         if name in names:
             value = getattr(import_module(f".{module}", __name__), name)

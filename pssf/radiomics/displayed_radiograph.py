@@ -36,6 +36,7 @@ from .features.feature_table import (
     Measurement,
     MeasurementJob,
     Record,
+    make_landmark_columns,
     measure_radiograph,
 )
 from .localisation.joint_localisation import (
@@ -206,6 +207,7 @@ def measure_display(
         record |= _extract(
             signal, joint, settings, tables, square, lambda values: np.interp(turned * values, grey, signals)
         )
+        record |= make_landmark_columns(joint, settings.areas)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 
@@ -284,6 +286,7 @@ def measure_linear(
     if region is not None:
         signal = np.clip(np.rint(region), 0, 65535).astype(np.uint16)
         record |= _extract(signal, joint, settings, tables, pixels, lambda values: values)
+        record |= make_landmark_columns(joint, settings.areas)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 

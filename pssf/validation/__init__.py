@@ -87,6 +87,12 @@ from .raycasting.raycast_engines import (
     measure_nested_spheroids,
 )
 from .raycasting.tessellation_error import measure_tessellation_error
+from .study_methods.fractal_errors import (
+    measure_fractal_disturbances,
+    measure_fractal_orientation,
+    measure_fractal_times,
+    measure_fractal_truth,
+)
 from .study_methods.localisation_rates import derive_localisation_limits, measure_localisation
 
 # Tables that measure memory come first, because a new process inherits the peak memory of its parent process.
@@ -99,6 +105,7 @@ DEFAULT_TABLES = (
 OPTIONAL_TABLES = (
     "throughput", "worker_scaling", "left_out", "localisation", "localisation_limits", "coverage", "refutation",
     "ablation", "backends", "gvxr", "ctsimu", "ctsimu_scatter", "ctsimu_images", "calibration",
+    "fractal_truth", "fractal_disturbances", "fractal_orientation", "fractal_times",
 )  # fmt: skip
 
 
@@ -195,6 +202,10 @@ def _make_table_jobs(
         "ablation": lambda: _import_study_module("study_ablation").measure_ablations(workers),
         "backends": lambda: _import_study_module("backend_agreement").compare_backends(),
         "gvxr": lambda: compare_with_gvxr(workers),
+        "fractal_truth": lambda: measure_fractal_truth(workers),
+        "fractal_disturbances": measure_fractal_disturbances,
+        "fractal_orientation": measure_fractal_orientation,
+        "fractal_times": measure_fractal_times,
         "ctsimu": compare_with_ctsimu,
         "ctsimu_scatter": compare_scatter_with_ctsimu,
         "ctsimu_images": compare_images_with_ctsimu,

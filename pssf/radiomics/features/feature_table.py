@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.label_names import TIBIAL_LANDMARKS
 from ...core.processes.execution import Execution
 from ...core.processes.parallel_map import map_in_parallel
 from ...core.stage_timer import make_interval_check
@@ -32,7 +33,9 @@ Measurement = tuple[Record, dict[str, float]]
 FILM_COLUMNS = ("film_side", "film_polarity", "film_pixel_from", "film_knees")
 TEXT_COLUMNS = ("radiograph", "sha256", "settings", "checksum", "status", *FILM_COLUMNS)
 SCORE_COLUMNS = ("score", "compartment_score", "side_margin", "orientation_margin", "scale")
-NON_FEATURE_COLUMNS = (*TEXT_COLUMNS, "row_px", "col_px", "film_pixel_mm", *SCORE_COLUMNS)
+# Columns of the landmarks by which areas were placed; only in records with areas other than the square.
+LANDMARK_COLUMNS = tuple(f"{name}_{axis}_px" for name in TIBIAL_LANDMARKS for axis in ("row", "col"))
+NON_FEATURE_COLUMNS = (*TEXT_COLUMNS, "row_px", "col_px", "film_pixel_mm", *SCORE_COLUMNS, *LANDMARK_COLUMNS)
 # Subpackages whose code and tables affect feature records. Their hashes are included in the settings hash.
 _CODE_PACKAGES = ("core", "data", "detector", "io", "radiomics", "reader", "texture")
 _LIBRARIES = ("numpy", "scikit-image", "scipy")
@@ -258,6 +261,7 @@ def measure_radiograph(
     if joint.status == "found":
         of_areas = measure_areas(pixels, joint, job.pixel_mm, settings, tables.tags)
         record |= {"status": "leaves image"} if of_areas is None else of_areas
+        record |= make_landmark_columns(joint, settings.areas)
     if record["status"] == "found" and SQUARE in settings.areas:
         record |= extract_features(
             cut_region(pixels, joint.row, joint.col, settings.region_px),
@@ -269,6 +273,27 @@ def measure_radiograph(
             bones=_cut_bones(joint, settings.region_px),
         )
     return record, {"localisation": located - began, "features": perf_counter() - located}
+
+
+def make_landmark_columns(joint: JointLocation, areas: tuple[str, ...]) -> Record:
+    """Make the columns of the landmarks by which areas were placed.
+
+    Parameters
+    ----------
+    joint : JointLocation
+        Location of the joint.
+    areas : tuple of str
+        Measured areas.
+
+    Returns
+    -------
+    dict of str to float
+        Row and column of each tibial landmark, in pixels of the radiograph; empty if only the square is measured.
+    """
+    if joint.landmarks_px is None or set(areas) == {SQUARE}:
+        return {}
+    places = [place for name in TIBIAL_LANDMARKS for place in joint.landmarks_px[name]]
+    return dict(zip(LANDMARK_COLUMNS, map(float, places), strict=True))
 
 
 def make_measurement_jobs(rows: Iterable[Mapping[str, Any]]) -> list[MeasurementJob]:

@@ -6,9 +6,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from ....core.checks import Array
+from ....core.label_names import TIBIAL_LANDMARKS
 from ....core.resample import downsample_by_blocks
 from ....detector import render_for_display
-from ....radiomics.features.feature_table import LoadPixels
+from ....radiomics.features.feature_families import SQUARE
+from ....radiomics.features.feature_table import LANDMARK_COLUMNS, LoadPixels
+from ....texture import make_texture_region
 from ...design.classification_tasks import MULTICLASS_TASKS
 from ...design.study_settings import SELECTIONS, StudySettings
 from ...statistics.analyses.knee_parameters import select_strongest_correlations
@@ -69,23 +73,19 @@ def _make_panel(located: pd.DataFrame, load_pixels: LoadPixels, settings: StudyS
     for protocol in protocols:
         part = located[(located["protocol"] == protocol) & located["knee"].isin(first)].set_index("knee")
         of = [part.loc[knee].to_dict() if knee in part.index else None for knee in first]
-        rows.append(
-            [
-                None if row is None else _make_panel_image(row, load_pixels(row["file"]), settings.region_px)
-                for row in of
-            ]
-        )
+        rows.append([None if row is None else _make_panel_image(row, load_pixels(row["file"]), settings) for row in of])
     return Picture(
         name="panel",
         png=result_figures.draw_panel(rows, [result_figures.format_protocol(name) for name in protocols]),
         alt="Simulated knee radiographs with region and joint line; columns are KL-like grades, rows are protocols",
         caption="The first knee of each KL-like grade under every protocol, rendered for display with bone bright "
         f"(layout as in figure 3 of arXiv 2601.11642). Yellow: region of {settings.region_px} × {settings.region_px} "
-        "pixels at the located joint line. Orange: the joint was not located. Blue cross: true medial joint line.",
+        "pixels at the located joint line. Orange: the joint was not located. Blue cross: true medial joint line."
+        + (" Green: measured regions of the tibia." if set(settings.areas) != {SQUARE} else ""),
     )
 
 
-def _make_panel_image(row: dict[str, Any], pixels: NDArray[np.uint16], region_px: int) -> PanelImage:
+def _make_panel_image(row: dict[str, Any], pixels: NDArray[np.uint16], settings: StudySettings) -> PanelImage:
     """Downsample one radiograph and convert its joint positions to the pixels of the smaller image."""
     rows, cols = (length // _BLOCK_PX for length in pixels.shape)
     shown = render_for_display(pixels)[: rows * _BLOCK_PX, : cols * _BLOCK_PX]
@@ -95,9 +95,21 @@ def _make_panel_image(row: dict[str, Any], pixels: NDArray[np.uint16], region_px
         title=f"grade {row['grade']}",
         found_joint_px=(row["row_px"] / _BLOCK_PX, row["col_px"] / _BLOCK_PX),
         true_joint_px=(row["truth_medial_row_px"] / _BLOCK_PX, row["truth_medial_col_px"] / _BLOCK_PX),
-        region_side_px=region_px / _BLOCK_PX,
+        region_side_px=settings.region_px / _BLOCK_PX,
         status=row["status"],
+        areas=_make_area_masks(row, small, settings.areas) if row["status"] == "found" else (),
     )
+
+
+def _make_area_masks(row: dict[str, Any], small: Array, areas: tuple[str, ...]) -> tuple[NDArray[np.bool_], ...]:
+    """Make the masks of the measured regions of the tibia in the smaller image (rows, cols)."""
+    regions = [area for area in areas if area != SQUARE]
+    if not regions:
+        return ()
+    places = np.array([row[name] for name in LANDMARK_COLUMNS]).reshape(-1, 2) / _BLOCK_PX
+    landmarks = {name: (float(at[0]), float(at[1])) for name, at in zip(TIBIAL_LANDMARKS, places, strict=True)}
+    pixel_mm = row["pixel_mm"] * _BLOCK_PX
+    return tuple(make_texture_region(area, landmarks, small, side=row["side"], pixel_mm=pixel_mm) for area in regions)
 
 
 def _make_robustness_picture(predictions: pd.DataFrame, scores: pd.DataFrame, selection: str) -> Picture:

@@ -44,6 +44,8 @@ class PanelImage:
         Side length of the region, in px.
     status : str
         Status of the localisation; "found" if the joint was located.
+    areas : tuple of (rows, cols) bool arrays, default ()
+        Masks of measured regions of the tibia.
     """
 
     display: NDArray[np.uint8]
@@ -52,6 +54,7 @@ class PanelImage:
     true_joint_px: tuple[float, float]
     region_side_px: float
     status: str
+    areas: tuple[NDArray[np.bool_], ...] = ()
 
 
 def draw_panel(images: list[list[PanelImage | None]], row_labels: list[str]) -> bytes:
@@ -88,6 +91,8 @@ def draw_panel(images: list[list[PanelImage | None]], row_labels: list[str]) -> 
             axis.plot(
                 image.true_joint_px[1], image.true_joint_px[0], "+", color="#56B4E9", markersize=11, markeredgewidth=1.8
             )
+            for area in image.areas:
+                axis.contour(area, levels=[0.5], colors="#009E73", linewidths=1.2)
             if row == 0:
                 axis.set_title(image.title, fontsize=11)
     return encode_png(figure)

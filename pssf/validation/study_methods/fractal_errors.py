@@ -39,7 +39,7 @@ _TIMED_PIXEL_MM = 0.15
 _SMOOTHEST, _ROUGHEST = 2.2, 2.8
 
 
-def measure_texture_truth(workers: int = 1) -> list[Row]:
+def measure_fractal_truth(workers: int = 1) -> list[Row]:
     """Measure bias and spread of the fractal dimension on isotropic surfaces of known dimension.
 
     Parameters
@@ -103,7 +103,7 @@ def _list_measures() -> list[str]:
     return list(measure_dimensions(make_fractional_surface(2.5, 32, 1)))
 
 
-def measure_texture_disturbances() -> list[Row]:
+def measure_fractal_disturbances() -> list[Row]:
     """Measure how noise, blur, a gradient, quantisation and a tone curve change the fractal dimension.
 
     Returns
@@ -147,7 +147,7 @@ def _add_noise(spread: float, surface: Array, rng: np.random.Generator) -> Array
     return surface + spread * rng.normal(size=surface.shape)
 
 
-def measure_texture_orientation() -> list[Row]:
+def measure_fractal_orientation() -> list[Row]:
     """Measure the orientation and the aspect ratio on surfaces whose dimension depends on the direction.
 
     Returns
@@ -197,7 +197,7 @@ def _compute_expected_ratio(squares: Array) -> float:
     return fit_ellipse(directions, hurst).aspect_ratio
 
 
-def measure_texture_times() -> list[Row]:
+def measure_fractal_times() -> list[Row]:
     """Measure the run time of each family of texture features for regions of different size.
 
     Returns
