@@ -105,7 +105,8 @@ DEFAULT_TABLES = (
 OPTIONAL_TABLES = (
     "throughput", "worker_scaling", "left_out", "localisation", "localisation_limits", "coverage", "refutation",
     "ablation", "backends", "gvxr", "ctsimu", "ctsimu_scatter", "ctsimu_images", "calibration",
-    "fractal_truth", "fractal_disturbances", "fractal_orientation", "fractal_times",
+    "fractal_truth", "fractal_disturbances", "fractal_orientation", "fractal_times", "texture_conditions",
+    "texture_meaning",
 )  # fmt: skip
 
 
@@ -206,6 +207,10 @@ def _make_table_jobs(
         "fractal_disturbances": measure_fractal_disturbances,
         "fractal_orientation": measure_fractal_orientation,
         "fractal_times": measure_fractal_times,
+        "texture_conditions": lambda: _import_study_module("texture_conditions").measure_texture_conditions(
+            knees, workers
+        ),
+        "texture_meaning": lambda: _import_study_module("texture_conditions").measure_texture_meaning(knees, workers),
         "ctsimu": compare_with_ctsimu,
         "ctsimu_scatter": compare_scatter_with_ctsimu,
         "ctsimu_images": compare_images_with_ctsimu,
