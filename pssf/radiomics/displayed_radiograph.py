@@ -25,7 +25,7 @@ from ..core.resample import downsample_by_blocks
 from ..data.analysis.localisation_table import LocalisationSettings
 from ..data.code_hash import require_same_code
 from ..texture import TEXTURE_FAMILIES
-from .features.area_features import measure_areas, resample_around_plateau
+from .features.area_features import measure_areas, require_resolved_texture, resample_around_plateau
 from .features.feature_backends import default_backend
 from .features.feature_extraction import extract_features
 from .features.feature_families import FAMILIES, SQUARE
@@ -97,7 +97,7 @@ class DisplayExtractionSettings:
     Raises
     ------
     InputError
-        A value is out of range, or no backend is installed.
+        A value is out of range, pixels are too large for a texture measure, or no backend is installed.
     """
 
     pixel_mm: float
@@ -109,10 +109,11 @@ class DisplayExtractionSettings:
     areas: tuple[str, ...] = (SQUARE,)
 
     def __post_init__(self) -> None:
-        """Check the ranges of pixel size and region size, and the source of the position."""
+        """Check pixel size, region size, the source of the position, and that pixels resolve the texture."""
         require_in_range("pixel_mm of films", self.pixel_mm, 0.02, 20, "mm")
         require_integer("region_px at pixel_mm of films", self.region_px, 16, 4096, "pixels")
         require_choice("regions of films", self.regions, ("template", "reader"))
+        require_resolved_texture(self.pixel_mm, self.families)
 
 
 def require_plateau_width(templates: Sequence[Template]) -> None:

@@ -203,6 +203,17 @@ def _make_table_jobs(
         "ablation": lambda: _import_study_module("study_ablation").measure_ablations(workers),
         "backends": lambda: _import_study_module("backend_agreement").compare_backends(),
         "gvxr": lambda: compare_with_gvxr(workers),
+        **_make_texture_jobs(knees, workers),
+        "ctsimu": compare_with_ctsimu,
+        "ctsimu_scatter": compare_scatter_with_ctsimu,
+        "ctsimu_images": compare_images_with_ctsimu,
+        "calibration": measure_calibration_recovery,
+    }
+
+
+def _make_texture_jobs(knees: int, workers: int) -> dict[str, Callable[[], list[Row]]]:
+    """Map the name of each table of texture measures to the function that measures its rows."""
+    return {
         "fractal_truth": lambda: measure_fractal_truth(workers),
         "fractal_disturbances": measure_fractal_disturbances,
         "fractal_orientation": measure_fractal_orientation,
@@ -211,10 +222,6 @@ def _make_table_jobs(
             knees, workers
         ),
         "texture_meaning": lambda: _import_study_module("texture_conditions").measure_texture_meaning(knees, workers),
-        "ctsimu": compare_with_ctsimu,
-        "ctsimu_scatter": compare_scatter_with_ctsimu,
-        "ctsimu_images": compare_images_with_ctsimu,
-        "calibration": measure_calibration_recovery,
     }
 
 

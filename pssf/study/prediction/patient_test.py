@@ -184,12 +184,11 @@ def evaluate_on_films(bench: MeasurementContext, films: FilmSet, manifest: pd.Da
     bench = replace(bench, templates=templates)
     with bench.execution.timer.stage("pixel pitch and region of patient radiographs"):
         pixel_mm, region_mm = _resolve_pitch_and_region_mm(films, templates, law, pitch_mm, largest_mm)
-    families = tuple(family for family in settings.families if family in FILM_FAMILIES)
     how = DisplayExtractionSettings(
         pixel_mm=pixel_mm,
         region_px=round(region_mm / pixel_mm),
         bins=settings.bins,
-        families=families,
+        families=tuple(family for family in settings.families if family in FILM_FAMILIES),
         backend=settings.backend,
         regions=settings.film_regions,
         areas=settings.areas,
