@@ -362,8 +362,9 @@ def test_summary_counts_and_orders_the_radiographs():
     assert (everything["below_1_mm"], everything["below_1_5_mm"], everything["below_2_5_mm"]) == (0.25, 0.5, 0.75)
     np.testing.assert_allclose(everything["medial_gap_bias_mm"], 0.5 + 0.01 * 1.75)
     # KL 3 has a larger joint space than KL 0 in one of the four pairs.
-    np.testing.assert_allclose(everything["auc_severe"], 0.75)
+    np.testing.assert_allclose(everything["auc"], 0.75)
     assert [row["radiographs"] for row in by_grade] == ["KL 0", "KL 3", "KL 4"]
+    assert [row["auc"] for row in by_grade] == [None, 0.5, 1.0]
 
 
 def test_annotations_are_read_and_wrong_tables_refused(tmp_path):

@@ -4,7 +4,7 @@ Place and scale of the annotations in the image need not be known: the landmarks
 annotation by the least-squares similarity (translation, rotation, scale) before distances are measured.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -113,14 +113,17 @@ def summarise_agreement(rows: Sequence[Row], grades: Sequence[int | None]) -> li
     list of dict
         One row per group of radiographs: counts, median and 90th percentile of the mean distance, median of the mean
         distance from the annotated lines, fractions of radiographs below limits, and bias, mean absolute error and
-        correlation of the joint spaces. The first row also has the AUC of the smaller joint space for KL 3 and 4
-        against KL 0.
+        correlation of the joint spaces. ``auc`` is the AUC of the smaller joint space against KL 0: for KL 3 and 4 in
+        the first row, and for the grade of the row in the others.
     """
     groups: list[tuple[str, list[Row]]] = [("all", list(rows))]
     for grade in sorted({grade for grade in grades if grade is not None}):
         groups.append((f"KL {grade}", [row for row, of in zip(rows, grades, strict=True) if of == grade]))
     summary = [{"radiographs": name, **_summarise(group)} for name, group in groups]
-    summary[0]["auc_severe"] = _compute_auc(rows, grades)
+    summary[0]["auc"] = _compute_auc(rows, grades, _SEVERE)
+    for row in summary[1:]:
+        grade = int(row["radiographs"].removeprefix("KL "))
+        row["auc"] = None if grade in _NORMAL else _compute_auc(rows, grades, (grade,))
     return summary
 
 
@@ -149,16 +152,16 @@ def _summarise(rows: Sequence[Row]) -> Row:
     return summary
 
 
-def _compute_auc(rows: Sequence[Row], grades: Sequence[int | None]) -> float | None:
-    """Compute the AUC of the smaller joint space; None without radiographs of both groups."""
+def _compute_auc(rows: Sequence[Row], grades: Sequence[int | None], against: Collection[int]) -> float | None:
+    """Compute the AUC of the smaller joint space of grades against normal knees; None without both groups."""
     least = [
         (grade, min(row["medial_gap_mm"], row["lateral_gap_mm"]))
         for row, grade in zip(rows, grades, strict=True)
         if row["found"]
     ]
     normal = np.array([gap for grade, gap in least if grade in _NORMAL])
-    severe = np.array([gap for grade, gap in least if grade in _SEVERE])
-    if not (normal.size and severe.size):
+    narrow = np.array([gap for grade, gap in least if grade in against])
+    if not (normal.size and narrow.size):
         return None
     # `study` has the AUC of its scores, but the reader works without its libraries.
-    return float(stats.mannwhitneyu(normal, severe).statistic / (normal.size * severe.size))
+    return float(stats.mannwhitneyu(normal, narrow).statistic / (normal.size * narrow.size))

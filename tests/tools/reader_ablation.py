@@ -37,7 +37,7 @@ Row = dict[str, Any]
 _ROW_FILE = "row.json"
 # Columns of the agreement with annotations that are kept.
 _KEPT = (
-    *("median_mm", "p90_mm", "below_1_mm", "below_1_5_mm", "below_2_5_mm", "auc_severe"),
+    *("median_mm", "p90_mm", "below_1_mm", "below_1_5_mm", "below_2_5_mm", "auc"),
     *("medial_gap_bias_mm", "medial_gap_mae_mm", "medial_gap_correlation"),
     *("lateral_gap_bias_mm", "lateral_gap_mae_mm", "lateral_gap_correlation"),
 )
