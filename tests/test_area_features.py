@@ -32,12 +32,12 @@ def make_pixels(seed=1, shape=SHAPE):
     return np.rint(20000 + 3000 * texture / texture.std()).astype(np.uint16)
 
 
-def measure(pixels, settings=SETTINGS, landmarks=LANDMARKS):
+def measure(pixels, settings=SETTINGS, landmarks=LANDMARKS, side="right"):
     job = MeasurementJob(
         radiograph="one",
         file="one",
         sha256="0",
-        side="right",
+        side=side,
         pixel_mm=MM,
         place_px=(180.0, 400.0),
         landmarks_px=landmarks,
@@ -84,6 +84,31 @@ def test_a_radiograph_whose_area_leaves_the_image_has_no_features():
     record = measure(make_pixels(shape=(240, 600)))
     assert record["status"] == "leaves image"
     assert not [name for name in record if name.startswith(("glcm", "vot"))]
+
+
+def test_a_region_without_texture_has_a_status_and_no_features():
+    flat = np.full(SHAPE, 20000, np.uint16)
+    for areas in (("square",), ("medial_subchondral",)):
+        record = measure(flat, SETTINGS | {"families": ("vot",), "areas": areas})
+        assert record["status"] == "no texture"
+        assert not [name for name in record if name.startswith("vot")]
+
+
+def test_a_left_knee_has_the_features_of_its_mirror_image():
+    pixels = ndimage.gaussian_filter(make_pixels(4).astype(float), (0.0, 2.0)).astype(np.uint16)
+    right = measure(pixels, SETTINGS | {"areas": ("medial_subchondral",)})
+    mirrored = {name: (row, SHAPE[1] - 1 - col) for name, (row, col) in LANDMARKS.items()}
+    left = measure(pixels[:, ::-1], SETTINGS | {"areas": ("medial_subchondral",)}, mirrored, side="left")
+    names = [name for name in right if name.startswith("vot")]
+    # The border of the region may take other pixels.
+    assert [left[name] for name in names] == pytest.approx([right[name] for name in names], abs=0.02)
+
+
+def test_resampling_does_not_hide_large_pixels():
+    joint = locate_joint_at((180.0, 400.0), SHAPE, side="right", pixel_mm=0.6, region_px=1)
+    how = DisplayExtractionSettings(pixel_mm=MM, **SETTINGS | {"areas": ("square",)})
+    record = displayed_radiograph._extract(make_pixels(), joint, how, TABLES, make_pixels(), np.asarray)
+    assert record == {"status": "coarse pixels"}
 
 
 def test_areas_need_landmarks_and_small_pixels():

@@ -25,9 +25,15 @@ from ..core.resample import downsample_by_blocks
 from ..data.analysis.localisation_table import LocalisationSettings
 from ..data.code_hash import require_same_code
 from ..texture import TEXTURE_FAMILIES
-from .features.area_features import measure_areas, require_resolved_texture, resample_around_plateau
+from .features.area_features import (
+    COARSE,
+    measure_areas,
+    measure_square,
+    require_resolved_texture,
+    resample_around_plateau,
+    resolves_texture,
+)
 from .features.feature_backends import default_backend
-from .features.feature_extraction import extract_features
 from .features.feature_families import FAMILIES, SQUARE
 from .features.feature_table import (
     FILM_COLUMNS,
@@ -404,24 +410,20 @@ def _extract(
 
     `to_signal` converts grey values of the image to the signal of the region, in DN.
     """
-    of_areas: dict[str, float] | None = {}
-    if any(area != SQUARE for area in settings.areas):
+    # Resampling cannot restore detail that larger pixels have lost.
+    if not resolves_texture(joint.pixel_mm, settings.families):
+        return {"status": COARSE}
+    how: dict[str, Any] = {"bins": settings.bins, "families": settings.families, "backend": settings.backend}
+    measured: dict[str, Any] = {}
+    if set(settings.areas) != {SQUARE}:
         resampled, moved = resample_around_plateau(pixels, joint, settings.pixel_mm)
         whole = np.clip(np.rint(to_signal(resampled)), 0, 65535).astype(np.uint16)
-        of_areas = measure_areas(whole, moved, settings.pixel_mm, settings, tables.tags)
-    if of_areas is None:
-        return {"status": "leaves image"}
-    if SQUARE not in settings.areas:
-        return of_areas
-    return of_areas | extract_features(
-        signal,
-        settings.pixel_mm,
-        tables.tags,
-        settings.bins,
-        settings.families,
-        settings.backend,
-        bones=_cut_bones(joint, settings),
-    )
+        measured = measure_areas(whole, moved, settings.pixel_mm, tables.tags, areas=settings.areas, **how)
+    if "status" in measured or SQUARE not in settings.areas:
+        return measured
+    bones = _cut_bones(joint, settings)
+    of_square = measure_square(signal, joint, settings.pixel_mm, tables.tags, bones=bones, **how)
+    return of_square if "status" in of_square else measured | of_square
 
 
 def _cut_bones(joint: JointLocation, settings: DisplayExtractionSettings) -> NDArray[np.bool_] | None:

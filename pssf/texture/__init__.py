@@ -22,9 +22,9 @@ from .orientation_transforms import (
     hurst_orientation_transform,
     variance_orientation_transform,
 )
-from .texture_features import TEXTURE_FAMILIES, measure_texture_features
-from .texture_regions import TEXTURE_REGIONS, make_texture_region
-from .texture_scales import SCALES_MM
+from .texture_features import TEXTURE_FAMILIES, measure_texture_features, mirror_texture_features
+from .texture_regions import TEXTURE_REGIONS, RegionOutsideImageError, make_texture_region
+from .texture_scales import SCALES_MM, UnmeasurableTextureError
 
 __all__ = [
     "SCALES_MM",
@@ -32,11 +32,14 @@ __all__ = [
     "TEXTURE_REGIONS",
     "FractalSignature",
     "OrientationSignature",
+    "RegionOutsideImageError",
+    "UnmeasurableTextureError",
     "fractal_signature",
     "hurst_orientation_transform",
     "local_binary_patterns",
     "make_texture_region",
     "measure_texture_features",
+    "mirror_texture_features",
     "spectral_slope",
     "variance_orientation_transform",
 ]

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from ..core.checks import Array, InputError
-from .texture_scales import prepare_region
+from .texture_scales import UnmeasurableTextureError, prepare_region
 
 # Number of points on each circle, and the default radius in mm.
 POINTS = 8
@@ -22,8 +22,8 @@ def local_binary_patterns(
     """Measure the frequencies of rotation-invariant uniform local binary patterns (Ojala 2002).
 
     Each pixel is compared with eight points on a circle around it. A pattern is uniform if the circle consists of at
-    most one arc of brighter and one arc of darker points. Grey values are replaced by their ranks, so that an
-    increasing tone curve has no effect.
+    most one arc of points at least as bright and one arc of darker points. Grey values are replaced by their ranks,
+    so that an increasing tone curve has no effect.
 
     Parameters
     ----------
@@ -39,7 +39,8 @@ def local_binary_patterns(
     Returns
     -------
     (10,) array
-        Fraction of pixels with 0 to 8 brighter points in a uniform pattern, and with a pattern that is not uniform.
+        Fraction of pixels with 0 to 8 points at least as bright in a uniform pattern, and with a pattern that is not
+        uniform.
 
     Raises
     ------
@@ -66,13 +67,16 @@ def local_binary_patterns(
         from skimage.feature import local_binary_pattern
     except ModuleNotFoundError as error:
         raise InputError(f"local binary patterns need {error.name}: pip install 'pssf[study]'") from error
-    region = prepare_region(image, pixel_mm, mask, (radius_mm, 1.0001 * radius_mm))
+    region = prepare_region(image, pixel_mm, mask, (radius_mm,), name="radius_mm", fewest=1)
     radius_px = float(region.scales_px[0])
-    reach = int(np.ceil(radius_px))
-    disc = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= reach
+    # The interpolation at the diagonal points reads the pixels around them.
+    reach = max(np.ceil(radius_px), np.sqrt(2) * np.ceil(radius_px / np.sqrt(2)))
+    side = int(np.ceil(reach))
+    disc = np.hypot(*np.mgrid[-side : side + 1, -side : side + 1]) <= reach + 1e-9
     fits = ndimage.binary_erosion(region.mask, disc, border_value=0)
     if not fits.any():
-        raise InputError(f"mask must contain circles with a radius of {radius_mm:g} mm, got none")
-    ranks = np.unique(region.values, return_inverse=True)[1].reshape(region.values.shape)
+        raise UnmeasurableTextureError(f"mask must contain circles with a radius of {radius_mm:g} mm, got none")
+    ranks = np.zeros(region.mask.shape, int)
+    ranks[region.mask] = np.unique(region.values[region.mask], return_inverse=True)[1]
     patterns = local_binary_pattern(ranks, POINTS, radius_px, "uniform")[fits].astype(int)
     return np.asarray(np.bincount(patterns, minlength=POINTS + 2) / len(patterns))

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ..core.checks import Array, InputError
-from .texture_scales import SCALES_MM, TextureRegion, prepare_region
+from ..core.checks import Array
+from .texture_scales import SCALES_MM, TextureRegion, UnmeasurableTextureError, prepare_region
 
 # Half-width of the sector of frequencies of one direction, in degrees.
 _SECTOR_DEG = 30.0
@@ -80,7 +80,7 @@ def _taper(region: TextureRegion) -> Array:
 def _fit_exponent(frequency: Array, power: Array) -> float:
     """Fit the exponent b of power = f^-b to spectral coefficients (n,)."""
     if len(frequency) < _MIN_COEFFICIENTS:
-        raise InputError(
+        raise UnmeasurableTextureError(
             f"mask must be large enough for {_MIN_COEFFICIENTS} spectral coefficients between the scales, "
             f"got {len(frequency)}"
         )

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy import fft, ndimage
 
-from ..core.checks import Array, InputError
-from .texture_scales import TextureRegion
+from ..core.checks import Array
+from .texture_scales import TextureRegion, UnmeasurableTextureError
 
 # Number of pixel pairs below which the variance at a distance is not measured.
 _MIN_PAIRS = 50
@@ -33,19 +33,21 @@ def measure_variogram(region: TextureRegion, directions_deg: Array) -> Array:
 
     Raises
     ------
-    InputError
+    UnmeasurableTextureError
         The mask has too few pairs of pixels at a distance, or the grey values do not vary in a direction.
     """
     reach = int(np.ceil(region.scales_px[-1])) + 3
     squares, pairs = _compute_mean_squares(region, reach)
-    row, col = np.rint(_list_places(directions_deg, region.scales_px)).astype(int) + reach
+    row, col = np.rint(_list_displacements(directions_deg, region.scales_px)).astype(int) + reach
     if (pairs[row, col] < _MIN_PAIRS).any():
-        raise InputError(
+        raise UnmeasurableTextureError(
             f"mask must have at least {_MIN_PAIRS} pairs of pixels at each scale, got {int(pairs[row, col].min())}"
         )
     squares[squares < _MIN_RELATIVE_SQUARE * np.square(region.values[region.mask]).mean()] = 0.0
     if (squares[row, col] == 0).any():
-        raise InputError(f"image must vary in all directions, got differences of {squares[row, col].min():g}")
+        raise UnmeasurableTextureError(
+            f"image must vary in all directions, got differences of {squares[row, col].min():g}"
+        )
     return interpolate_variogram(squares, directions_deg, region.scales_px)
 
 
@@ -76,11 +78,11 @@ def interpolate_variogram(squares: Array, directions_deg: Array, scales_px: Arra
     # Where no pixels are paired, the nearest known ratio is used; at distance 0, the mean of its four neighbours.
     ratio = ratio[tuple(ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True))]
     ratio[reach, reach] = ratio[[reach - 1, reach + 1, reach, reach], [reach, reach, reach - 1, reach + 1]].mean()
-    places = _list_places(directions_deg, scales_px) + reach
+    places = _list_displacements(directions_deg, scales_px) + reach
     return np.asarray(np.exp(ndimage.map_coordinates(ratio, places, order=3)) * scales_px)
 
 
-def _list_places(directions_deg: Array, scales_px: Array) -> Array:
+def _list_displacements(directions_deg: Array, scales_px: Array) -> Array:
     """List the rows and columns (2, d, n) of displacements."""
     angles = np.deg2rad(directions_deg)[:, None]
     return np.stack((-np.sin(angles) * scales_px, np.cos(angles) * scales_px))
@@ -88,7 +90,7 @@ def _list_places(directions_deg: Array, scales_px: Array) -> Array:
 
 def _compute_mean_squares(region: TextureRegion, reach: int) -> tuple[Array, Array]:
     """Compute mean squares and numbers of pairs, both (2 reach + 1, 2 reach + 1), by displacement."""
-    shape = [fft.next_fast_len(length + reach, real=True) for length in region.mask.shape]
+    shape = [fft.next_fast_len(max(length + reach, 2 * reach + 1), real=True) for length in region.mask.shape]
     of_mask, of_value, of_square = (
         fft.rfft2(part, shape) for part in (region.mask.astype(np.float64), region.values, region.values**2)
     )

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ..core.checks import Array
 from .rod_ranges import measure_rod_ranges
 from .scaling_laws import fit_local_slopes, fit_parabola, fit_slope
-from .texture_scales import SCALES_MM, TextureRegion, prepare_region
+from .texture_scales import SCALES_MM, TextureRegion, UnmeasurableTextureError, prepare_region
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -21,7 +21,7 @@ class FractalSignature:
     Attributes
     ----------
     scales_mm : (n,) array
-        Half-lengths of the rods, in mm.
+        Half-lengths of the rods, in mm: the given ones except the first and the last.
     horizontal, vertical : (n,) array
         Fractal dimension at each scale, with rods along the rows and along the columns.
     horizontal_dimension, vertical_dimension : float
@@ -62,7 +62,7 @@ def fractal_signature(
     mask : (rows, cols) bool array, optional
         True for the pixels to measure; None: all pixels.
     scales_mm : sequence of float, optional
-        Half-lengths of the rods, in mm, in increasing order, at least two pixels.
+        At least three half-lengths of rods, in mm, in increasing order, at least two pixels.
 
     Returns
     -------
@@ -94,19 +94,22 @@ def fractal_signature(
     horizontal, vertical = 2.0 - fit_local_slopes(scales, areas)
     over_all = 2.0 - fit_slope(scales, areas)
     return FractalSignature(
-        scales_mm=scales,
+        scales_mm=scales[1:-1],
         horizontal=horizontal,
         vertical=vertical,
         horizontal_dimension=float(over_all[0]),
         vertical_dimension=float(over_all[1]),
-        horizontal_parabola=fit_parabola(scales, horizontal),
-        vertical_parabola=fit_parabola(scales, vertical),
+        horizontal_parabola=fit_parabola(scales[1:-1], horizontal),
+        vertical_parabola=fit_parabola(scales[1:-1], vertical),
     )
 
 
 def _measure_areas(region: TextureRegion, direction_deg: float) -> Array:
     """Measure the area A (n,) at each scale: half of the increase of the range per pixel of half-length."""
     lengths, ranges = measure_rod_ranges(region, direction_deg)
-    areas = np.diff(ranges, prepend=0.0) / np.diff(lengths, prepend=0.0) / 2
-    middles = lengths - np.diff(lengths, prepend=0.0) / 2
-    return np.asarray(np.exp(np.interp(np.log(region.scales_px), np.log(middles), np.log(areas))))
+    areas = np.diff(ranges, prepend=0.0) / 2
+    if (areas <= 0).any():
+        raise UnmeasurableTextureError(
+            f"ranges must increase with the length of rods at {direction_deg:g} degrees, got {ranges.max():g} twice"
+        )
+    return np.asarray(np.exp(np.interp(np.log(region.scales_px), np.log(lengths - 0.5), np.log(areas))))

@@ -25,7 +25,7 @@ class OrientationSignature:
     Attributes
     ----------
     scales_mm : (n,) array
-        Scales, in mm.
+        Scales, in mm: the given ones except the first and the last.
     directions_deg : (d,) array
         Directions over 180 degrees, in degrees counter-clockwise from the rows of the image.
     dimensions : (d, n) array
@@ -40,6 +40,7 @@ class OrientationSignature:
         Largest dimension of all directions.
     aspect_ratio : float
         Texture aspect ratio: minor divided by major axis of the ellipse of Hurst coefficients; 1 if isotropic.
+        Hurst coefficients below 0.01 count as 0.01.
     orientation_deg : float
         Direction of the major axis, along which the texture is smoothest, in degrees, 0 to 180.
     aspect_ratios, orientations_deg : (n,) array
@@ -82,7 +83,7 @@ def variance_orientation_transform(
     mask : (rows, cols) bool array, optional
         True for the pixels to measure; None: all pixels.
     scales_mm : sequence of float, optional
-        Distances, in mm, in increasing order, at least two pixels.
+        At least three distances, in mm, in increasing order, at least two pixels.
 
     Returns
     -------
@@ -137,7 +138,7 @@ def hurst_orientation_transform(
     mask : (rows, cols) bool array, optional
         True for the pixels to measure; None: all pixels.
     scales_mm : sequence of float, optional
-        Half-lengths of the lines, in mm, in increasing order, at least two pixels.
+        At least three half-lengths of lines, in mm, in increasing order, at least two pixels.
 
     Returns
     -------
@@ -180,7 +181,7 @@ def _make_signature(directions_deg: Array, scales_mm: Array, amplitudes: Array) 
     ellipse = fit_ellipse(directions_deg, over_all)
     ellipses = [fit_ellipse(directions_deg, of_scale) for of_scale in by_scale.T]
     return OrientationSignature(
-        scales_mm=scales_mm,
+        scales_mm=scales_mm[1:-1],
         directions_deg=directions_deg,
         dimensions=3.0 - by_scale,
         direction_dimensions=dimensions,

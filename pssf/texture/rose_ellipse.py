@@ -6,7 +6,7 @@ import numpy as np
 
 from ..core.checks import Array
 
-# Smallest radius of a rose plot that is fitted; Hurst coefficients of noise may be below 0.
+# Smallest radius of a rose plot; Hurst coefficients of noise may be below 0.
 _MIN_RADIUS = 0.01
 
 
@@ -27,7 +27,10 @@ class RoseEllipse:
 
 
 def fit_ellipse(directions_deg: Array, radii: Array) -> RoseEllipse:
-    """Fit an ellipse around the origin to a rose plot, by least squares of the equation of the conic.
+    """Fit an ellipse around the origin to a rose plot, by weighted least squares of 1 / r^2.
+
+    Where the fit is not an ellipse, as for the Hurst coefficients of noise, mean and second harmonic of the radii are
+    used.
 
     Parameters
     ----------
@@ -39,17 +42,21 @@ def fit_ellipse(directions_deg: Array, radii: Array) -> RoseEllipse:
     Returns
     -------
     RoseEllipse
-        Ellipse; both values are NaN if the conic is not an ellipse.
+        Ellipse.
     """
-    angles = np.deg2rad(directions_deg)
+    angles = 2 * np.deg2rad(directions_deg)
     kept = np.maximum(radii, _MIN_RADIUS)
-    x, y = kept * np.cos(angles), kept * np.sin(angles)
-    (a, b, c), *_ = np.linalg.lstsq(np.stack((x * x, 2 * x * y, y * y), axis=1), np.ones(len(x)), rcond=None)
-    of_axes, axes = np.linalg.eigh(np.array([[a, b], [b, c]]))
-    if of_axes[0] <= 0:
-        return RoseEllipse(aspect_ratio=np.nan, orientation_deg=np.nan)
-    major = axes[:, 0]
+    # 1 / r^2 = mean + cosine cos 2t + sine sin 2t is an ellipse. The weights r^3 give all radii the same error.
+    basis = np.stack((np.ones(len(angles)), np.cos(angles), np.sin(angles)), axis=1)
+    mean, cosine, sine = np.linalg.lstsq(basis * kept[:, None] ** 3, kept, rcond=None)[0]
+    change = np.hypot(cosine, sine)
+    if mean > change:
+        ratio = np.sqrt((mean - change) / (mean + change))
+    else:
+        # No ellipse fits: the second harmonic of the radii is used.
+        mean, cosine, sine = np.linalg.lstsq(basis, kept, rcond=None)[0] * (1.0, -1.0, -1.0)
+        change = np.hypot(cosine, sine)
+        ratio = max(mean - change, 0.0) / (mean + change)
     return RoseEllipse(
-        aspect_ratio=float(np.sqrt(of_axes[0] / of_axes[1])),
-        orientation_deg=float(np.rad2deg(np.arctan2(major[1], major[0])) % 180.0),
+        aspect_ratio=float(ratio), orientation_deg=float(np.rad2deg(np.arctan2(-sine, -cosine)) / 2 % 180.0)
     )

@@ -30,18 +30,18 @@ def fit_local_slopes(scales: Array, values: Array) -> Array:
     Parameters
     ----------
     scales : (n,) array
-        Scales, in any unit.
+        Scales, in any unit, at least three.
     values : (..., n) array, any unit
         Positive values at each scale.
 
     Returns
     -------
-    (..., n) array
-        Exponent at each scale. The first and the last scale use the three scales at their end, or all if there are two.
+    (..., n - 2) array
+        Exponent at each scale except the first and the last.
     """
-    width = min(3, len(scales))
-    starts = np.clip(np.arange(len(scales)) - 1, 0, len(scales) - width)
-    return np.stack([fit_slope(scales[at : at + width], values[..., at : at + width]) for at in starts], axis=-1)
+    return np.stack(
+        [fit_slope(scales[at : at + 3], values[..., at : at + 3]) for at in range(len(scales) - 2)], axis=-1
+    )
 
 
 def fit_parabola(scales_mm: Array, dimensions: Array) -> tuple[float, float, float]:

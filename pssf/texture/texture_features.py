@@ -1,6 +1,6 @@
 """Features of all texture measures, with names."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,8 @@ from .orientation_transforms import (
 TEXTURE_FAMILIES = ("fsa", "vot", "hot", "lbp", "spectrum")
 # Radii of the local binary patterns, in mm.
 _RADII_MM = (0.4, 0.8)
+# End of the names of features that change their sign in a mirrored image.
+_MIRRORED = "Sine"
 
 
 def measure_texture_features(
@@ -29,6 +31,9 @@ def measure_texture_features(
     families: Collection[str] = TEXTURE_FAMILIES,
 ) -> dict[str, float]:
     """Measure the texture features of a region, with names such as `vot_MeanDimension`.
+
+    Orientations are cosine and sine of twice the direction. Of a left knee, `mirror_texture_features` gives the
+    features in the frame of a right knee.
 
     Parameters
     ----------
@@ -101,17 +106,38 @@ def _name_orientation(family: str, of: OrientationSignature) -> dict[str, float]
         f"{family}_VerticalDimension": of.vertical_dimension,
         f"{family}_RoughestDimension": of.roughest_dimension,
         f"{family}_AspectRatio": of.aspect_ratio,
-        f"{family}_OrientationDeg": of.orientation_deg,
+        **_name_direction(f"{family}_Orientation", of.orientation_deg),
     }
     for name, by_scale in (
         ("HorizontalDimension", of.dimensions[0]),
         ("VerticalDimension", of.dimensions[len(of.dimensions) // 2]),
         ("RoughestDimension", of.dimensions[int(np.argmax(of.direction_dimensions))]),
         ("AspectRatio", of.aspect_ratios),
-        ("OrientationDeg", of.orientations_deg),
     ):
         values |= _name_scales(f"{family}_{name}", scales, by_scale.tolist())
     return values
+
+
+def _name_direction(name: str, direction_deg: float) -> dict[str, float]:
+    """Return cosine and sine of twice a direction, because 0 and 180 degrees are the same direction."""
+    double = 2 * np.deg2rad(direction_deg)
+    return {f"{name}Cosine": float(np.cos(double)), f"{name}{_MIRRORED}": float(np.sin(double))}
+
+
+def mirror_texture_features(values: Mapping[str, float]) -> dict[str, float]:
+    """Convert the features of a left knee to those of its mirror image.
+
+    Parameters
+    ----------
+    values : dict of str to float
+        Features, keyed by name.
+
+    Returns
+    -------
+    dict of str to float
+        Features of the mirrored region; only the sines of orientations change.
+    """
+    return {name: -value if name.endswith(f"Orientation{_MIRRORED}") else value for name, value in values.items()}
 
 
 def _name_scales(name: str, scales_mm: list[float], values: list[float]) -> dict[str, float]:

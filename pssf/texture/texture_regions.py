@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..core.checks import Array, InputError, require_choice, require_in_range
 from ..core.label_names import TIBIAL_LANDMARKS
-from ..reader.knee_frame import KneeFrame, fit_frame
+from ..reader.knee_frame import fit_frame
 
 # Landmarks of each compartment, from its edge to its spine.
 _COMPARTMENTS = {"lateral": TIBIAL_LANDMARKS[:4], "medial": TIBIAL_LANDMARKS[:-5:-1]}
@@ -26,7 +26,7 @@ _GRID_FRACTION = 0.9
 _EPIPHYSIS_MM = (4.0, 15.0)
 _METAPHYSIS_MM = (22.0, 34.0)
 _BONE_FRACTION = 0.7
-# Depth of the shape-adaptive region below the plateau, and edge length of its superpixels, in mm (assumed).
+# Height of the shape-adaptive region, and edge length of its superpixels, in mm (assumed).
 _ADAPTIVE_MM = 10.0
 _SUPERPIXEL_MM = 4.0
 # Compactness of superpixels for grey values with a standard deviation of 1 (assumed).
@@ -41,6 +41,10 @@ TEXTURE_REGIONS = (
 )
 
 
+class RegionOutsideImageError(InputError):
+    """A region of the tibia extends beyond the image."""
+
+
 def make_texture_region(
     name: str,
     landmarks_px: Mapping[str, tuple[float, float]],
@@ -48,20 +52,19 @@ def make_texture_region(
     *,
     side: str,
     pixel_mm: float,
-    tibia: NDArray[np.bool_] | None = None,
 ) -> NDArray[np.bool_]:
     """Make the mask of a region of the tibia.
 
-    All regions turn with the line through the edges of the plateau. The top of a subchondral region is 2 mm below the
-    lowest landmark of its compartment, so that the region excludes the subchondral bone plate.
+    The axes of a region follow the line through the edges of the plateau. Subchondral regions and patches start 2 mm
+    below the lowest landmark, so that they exclude the subchondral bone plate.
 
     Parameters
     ----------
     name : str
         One of TEXTURE_REGIONS: `medial_subchondral` and `lateral_subchondral` (6 mm high, 3/4 of the compartment
         wide; Kraus 2009), `..._subarticular` (the same size below; Buckland-Wright 2004), `..._adaptive` (superpixels
-        in 10 mm below the plateau; Bayramoglu 2020), `epiphysis`, `metaphysis`, and `patch_11` to `patch_28` (two
-        rows of eight squares from lateral to medial; Janvier 2017).
+        in 10 mm below the subchondral bone plate; Bayramoglu 2020), `epiphysis`, `metaphysis`, and `patch_11` to
+        `patch_28` (two rows of eight squares from lateral to medial; Janvier 2017).
     landmarks_px : dict of str to (row, column) tuple
         Tibial landmarks, in pixels.
     image : (rows, cols) array, grey
@@ -69,9 +72,7 @@ def make_texture_region(
     side : {"right", "left"}
         Side of the knee. The lateral side of a right knee is on the viewer's left.
     pixel_mm : float
-        Pixel size on the bone, in mm.
-    tibia : (rows, cols) bool array, optional
-        Mask of the tibia; pixels outside are excluded.
+        Pixel size, in mm. With the pixel size of the detector, sizes are those of the projection on the detector.
 
     Returns
     -------
@@ -81,7 +82,9 @@ def make_texture_region(
     Raises
     ------
     InputError
-        The name or the side is unknown, a landmark is missing, or the region is not inside the image or the tibia.
+        The name or the side is unknown, a landmark is missing, or scikit-image is not installed (adaptive regions).
+    RegionOutsideImageError
+        A corner of the region is outside the image.
     """
     require_choice("name", name, TEXTURE_REGIONS)
     require_choice("side", side, ("right", "left"))
@@ -89,30 +92,24 @@ def make_texture_region(
     missing = [landmark for landmark in TIBIAL_LANDMARKS if landmark not in landmarks_px]
     if missing:
         raise InputError(f"landmarks_px must contain all tibial landmarks, got none of {', '.join(missing)}")
-    edges = np.array([landmarks_px[TIBIAL_LANDMARKS[index]] for index in (0, -1)])
-    frame = fit_frame(edges, side)
-    depth_mm, across_mm = _map_pixels(frame, image.shape, pixel_mm)
     places = np.array([landmarks_px[landmark] for landmark in TIBIAL_LANDMARKS])
-    of_landmark = dict(zip(TIBIAL_LANDMARKS, frame.map_to_crop(places, frame.width_px * pixel_mm, 1), strict=True))
-    box = _find_box(name, of_landmark, frame.width_px * pixel_mm)
-    _require_inside(name, box, depth_mm, across_mm)
-    (top, bottom), (first, last) = box
-    mask = (depth_mm >= top) & (depth_mm <= bottom) & (across_mm >= first) & (across_mm <= last)
+    frame = fit_frame(places[[0, -1]], side)
+    width_mm = frame.width_px * pixel_mm
+    of_landmark = dict(zip(TIBIAL_LANDMARKS, frame.map_to_crop(places, width_mm, 1), strict=True))
+    (top, bottom), (first, last) = box = _find_box(name, of_landmark, width_mm)
+    corners = frame.map_to_image(np.array([(depth, across) for depth in box[0] for across in box[1]]), width_mm, 1)
+    if (corners < -0.5).any() or (corners > np.array(image.shape) - 0.5).any():
+        farthest = max(float(-corners.min()), float((corners - image.shape).max()))
+        raise RegionOutsideImageError(
+            f"image must contain the region {name}, got a corner {farthest * pixel_mm:.1f} mm outside"
+        )
+    grid = np.moveaxis(np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float64), 0, -1)
+    depth_mm, across_mm = np.moveaxis(frame.map_to_crop(grid, width_mm, 1), -1, 0)
+    mask = (depth_mm >= top) & (depth_mm < bottom) & (across_mm >= first) & (across_mm < last)
     if name.endswith("_adaptive"):
         # No superpixel may reach into the subchondral bone plate.
         mask = _adapt_to_texture(np.asarray(image, np.float64), mask, pixel_mm) & (depth_mm >= top)
-    if tibia is not None:
-        mask &= tibia
-    if not mask.any():
-        raise InputError(f"tibia must contain the region {name}, got no pixel of it")
-    return mask
-
-
-def _map_pixels(frame: KneeFrame, shape: tuple[int, ...], pixel_mm: float) -> tuple[Array, Array]:
-    """Return the depth below the plateau line and the position from lateral to medial of each pixel, in mm."""
-    grid = np.moveaxis(np.mgrid[: shape[0], : shape[1]].astype(np.float64), 0, -1)
-    places = frame.map_to_crop(grid, frame.width_px * pixel_mm, 1)
-    return places[..., 0], places[..., 1]
+    return np.asarray(mask)
 
 
 def _find_box(
@@ -122,14 +119,15 @@ def _find_box(
     compartment, _, zone = name.partition("_")
     if compartment in _COMPARTMENTS:
         return _find_compartment_box(compartment, zone, places_mm)
+    floor = max(float(place[0]) for place in places_mm.values()) + _PLATE_MM
     if compartment == "patch":
-        floor = max(place[0] for place in places_mm.values()) + _PLATE_MM
         size = _GRID_FRACTION * width_mm / _GRID_COLUMNS
         row, column = int(zone[0]) - 1, int(zone[1]) - 1
         left = -_GRID_FRACTION * width_mm / 2 + column * size
         return (floor + row * size, floor + (row + 1) * size), (left, left + size)
     half = _BONE_FRACTION * width_mm / 2
-    return _EPIPHYSIS_MM if name == "epiphysis" else _METAPHYSIS_MM, (-half, half)
+    top, bottom = _EPIPHYSIS_MM if name == "epiphysis" else _METAPHYSIS_MM
+    return (max(top, floor), bottom), (-half, half)
 
 
 def _find_compartment_box(
@@ -143,18 +141,6 @@ def _find_compartment_box(
         top += _SUBCHONDRAL_MM
     height = _ADAPTIVE_MM if zone == "adaptive" else _SUBCHONDRAL_MM
     return (top, top + height), (middle - half, middle + half)
-
-
-def _require_inside(
-    name: str, box: tuple[tuple[float, float], tuple[float, float]], depth_mm: Array, across_mm: Array
-) -> None:
-    """Raise InputError if a corner of a region is outside the image."""
-    for depth in box[0]:
-        for across in box[1]:
-            nearest = np.hypot(depth_mm - depth, across_mm - across).min()
-            step = np.hypot(depth_mm[1, 0] - depth_mm[0, 0], across_mm[1, 0] - across_mm[0, 0])
-            if nearest > step:
-                raise InputError(f"image must contain the region {name}, got a corner {nearest:.1f} mm outside")
 
 
 def _adapt_to_texture(image: Array, mask: NDArray[np.bool_], pixel_mm: float) -> NDArray[np.bool_]:

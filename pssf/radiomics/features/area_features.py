@@ -1,16 +1,23 @@
-"""Features of regions of the tibia that follow from landmarks."""
+"""Features of the square around the medial joint line, and of regions of the tibia that follow from landmarks."""
 
 from collections.abc import Collection
 from dataclasses import replace
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from ...core.checks import Array, InputError
-from ...texture import TEXTURE_FAMILIES, make_texture_region
-from ...texture.texture_scales import MIN_SCALE_PX, SCALES_MM
+from ...texture import (
+    SCALES_MM,
+    TEXTURE_FAMILIES,
+    RegionOutsideImageError,
+    UnmeasurableTextureError,
+    make_texture_region,
+    mirror_texture_features,
+)
+from ...texture.texture_scales import MIN_SCALE_PX, is_resolved
 from ..localisation.joint_localisation import JointLocation
 from .feature_extraction import extract_features
 from .feature_families import SQUARE, name_in_area
@@ -21,24 +28,27 @@ from .ibsi_tags import IbsiTags
 _REACH = 0.75
 
 
-class AreaSettings(Protocol):
-    """Settings for the measurement of areas: `ExtractionSettings` or `DisplayExtractionSettings`."""
+# Status of a radiograph of which an area extends beyond the image, whose grey values have no measurable texture, or
+# whose pixels are too large for the texture measures.
+OUTSIDE, UNMEASURABLE, COARSE = "leaves image", "no texture", "coarse pixels"
 
-    @property
-    def bins(self) -> int:
-        """Number of grey-level bins."""
 
-    @property
-    def families(self) -> tuple[str, ...]:
-        """Feature families to measure."""
+def resolves_texture(pixel_mm: float, families: Collection[str]) -> bool:
+    """Report whether pixels are small enough for the families of texture measures.
 
-    @property
-    def backend(self) -> str:
-        """Feature library."""
+    Parameters
+    ----------
+    pixel_mm : float
+        Pixel size, in mm.
+    families : collection of str
+        Feature families to measure.
 
-    @property
-    def areas(self) -> tuple[str, ...]:
-        """Areas to measure."""
+    Returns
+    -------
+    bool
+        True if the smallest scale has at least two pixels, or if no family measures texture by scale.
+    """
+    return not set(families) & set(TEXTURE_FAMILIES) or is_resolved(SCALES_MM[0], pixel_mm)
 
 
 def require_resolved_texture(pixel_mm: float, families: Collection[str]) -> None:
@@ -56,8 +66,8 @@ def require_resolved_texture(pixel_mm: float, families: Collection[str]) -> None
     InputError
         The smallest scale has fewer than two pixels.
     """
-    measured = [name for name in TEXTURE_FAMILIES if name in families]
-    if measured and pixel_mm * MIN_SCALE_PX > SCALES_MM[0] + 1e-6:
+    if not resolves_texture(pixel_mm, families):
+        measured = [name for name in TEXTURE_FAMILIES if name in families]
         raise InputError(
             f"pixel_mm must be at most {SCALES_MM[0] / MIN_SCALE_PX:g} mm for the families {', '.join(measured)}, "
             f"got {pixel_mm:g} mm"
@@ -65,9 +75,19 @@ def require_resolved_texture(pixel_mm: float, families: Collection[str]) -> None
 
 
 def measure_areas(
-    pixels: NDArray[np.integer], joint: JointLocation, pixel_mm: float, settings: AreaSettings, tags: IbsiTags
-) -> dict[str, float] | None:
+    pixels: NDArray[np.integer],
+    joint: JointLocation,
+    pixel_mm: float,
+    tags: IbsiTags,
+    *,
+    areas: Collection[str],
+    bins: int,
+    families: Collection[str],
+    backend: str,
+) -> dict[str, Any]:
     """Measure the features of every area except the square.
+
+    Shape features are omitted, because they would describe the area.
 
     Parameters
     ----------
@@ -77,41 +97,98 @@ def measure_areas(
         Location of the joint, with landmarks.
     pixel_mm : float
         Pixel size, in mm.
-    settings : AreaSettings
-        Areas and features. Shape features are omitted, because they would describe the area.
     tags : dict of str to dict of str to str
         IBSI tags; see `load_ibsi_tags`.
+    areas : collection of str
+        Areas, from `feature_families.AREAS`.
+    bins : int
+        Number of grey-level bins.
+    families : collection of str
+        Feature families.
+    backend : str
+        Feature library.
 
     Returns
     -------
-    dict of str to float, or None
-        Value of each feature, with names such as `glcm_Contrast@medial_subchondral`; None if an area extends beyond the
-        image.
+    dict of str to float or str
+        Value of each feature, with names such as `glcm_Contrast@medial_subchondral`; or only the column "status", if an
+        area extends beyond the image or its texture cannot be measured.
 
     Raises
     ------
     InputError
-        The location has no landmarks, or the pixels are too large for a texture measure.
+        The location has no landmarks, or a library is not installed.
     """
-    areas = [area for area in settings.areas if area != SQUARE]
-    if not areas:
-        return {}
-    if joint.landmarks_px is None:
-        raise InputError(f"areas other than {SQUARE} need landmarks, got regions without landmarks for {areas[0]}")
-    require_resolved_texture(pixel_mm, settings.families)
-    try:
-        masks = [
-            make_texture_region(area, joint.landmarks_px, pixels, side=joint.side, pixel_mm=pixel_mm) for area in areas
-        ]
-    except InputError:
-        return None
-    families = [family for family in settings.families if family != "shape2D"]
-    values: dict[str, float] = {}
-    for area, mask in zip(areas, masks, strict=True):
-        box = ndimage.find_objects(mask.astype(np.uint8))[0]
-        measured = extract_features(pixels[box], pixel_mm, tags, settings.bins, families, settings.backend, mask[box])
-        values |= {name_in_area(name, area): value for name, value in measured.items()}
+    chosen = [area for area in areas if area != SQUARE]
+    if chosen and joint.landmarks_px is None:
+        raise InputError(f"areas other than {SQUARE} need landmarks, got regions without landmarks for {chosen[0]}")
+    values: dict[str, Any] = {}
+    of_area = [family for family in families if family != "shape2D"]
+    for area in chosen:
+        assert joint.landmarks_px is not None
+        try:
+            mask = make_texture_region(area, joint.landmarks_px, pixels, side=joint.side, pixel_mm=pixel_mm)
+            box = ndimage.find_objects(mask.astype(np.uint8))[0]
+            measured = extract_features(pixels[box], pixel_mm, tags, bins, of_area, backend, mask[box])
+        except RegionOutsideImageError:
+            return {"status": OUTSIDE}
+        except UnmeasurableTextureError:
+            return {"status": UNMEASURABLE}
+        values |= {name_in_area(name, area): value for name, value in _turn(measured, joint).items()}
     return values
+
+
+def measure_square(
+    region: NDArray[np.generic],
+    joint: JointLocation,
+    pixel_mm: float,
+    tags: IbsiTags,
+    *,
+    bins: int,
+    families: Collection[str],
+    backend: str,
+    bones: NDArray[np.bool_] | None,
+) -> dict[str, Any]:
+    """Measure the features of the square around the medial joint line.
+
+    Parameters
+    ----------
+    region : (size, size) integer array, DN
+        Square.
+    joint : JointLocation
+        Location of the joint.
+    pixel_mm : float
+        Pixel size, in mm.
+    tags : dict of str to dict of str to str
+        IBSI tags; see `load_ibsi_tags`.
+    bins : int
+        Number of grey-level bins.
+    families : collection of str
+        Feature families.
+    backend : str
+        Feature library.
+    bones : (size, size) bool array or None
+        Mask of the bones for shape features; None: the bones are segmented.
+
+    Returns
+    -------
+    dict of str to float or str
+        Value of each feature; or only the column "status", if the texture cannot be measured.
+
+    Raises
+    ------
+    InputError
+        A library is not installed.
+    """
+    try:
+        return _turn(extract_features(region, pixel_mm, tags, bins, families, backend, bones=bones), joint)
+    except UnmeasurableTextureError:
+        return {"status": UNMEASURABLE}
+
+
+def _turn(values: dict[str, float], joint: JointLocation) -> dict[str, Any]:
+    """Convert the features of a left knee to the frame of a right knee."""
+    return mirror_texture_features(values) if joint.side == "left" else dict(values)
 
 
 def resample_around_plateau(

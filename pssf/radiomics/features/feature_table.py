@@ -21,9 +21,8 @@ from ..localisation.region_of_interest import cut_region
 from ..localisation.region_placement import hash_reader, locate_region
 from ..localisation.templates import Template
 from ..radiomics_tables import RadiomicsTables
-from .area_features import measure_areas
+from .area_features import measure_areas, measure_square
 from .feature_backends import BACKENDS, default_backend
-from .feature_extraction import extract_features
 from .feature_families import FAMILIES, SQUARE
 
 Record = dict[str, Any]
@@ -204,7 +203,8 @@ def measure_radiograph(
 ) -> Measurement:
     """Measure one radiograph with linear pixels.
 
-    If the best match is rejected, the record contains the position and scores of the match, but no features.
+    If the best match is rejected, an area extends beyond the image or its texture cannot be measured, the record
+    contains the reason, the position and scores of the match, but no features.
 
     Parameters
     ----------
@@ -245,7 +245,7 @@ def measure_radiograph(
         regions=settings.regions,
         side=job.side,
         pixel_mm=job.pixel_mm,
-        region_px=settings.region_px,
+        region_px=settings.region_px if SQUARE in settings.areas else 1,
         place_px=job.place_px,
         landmarks_px=job.landmarks_px,
     )
@@ -259,19 +259,14 @@ def measure_radiograph(
         **{name: getattr(joint, name) for name in SCORE_COLUMNS},
     }
     if joint.status == "found":
-        of_areas = measure_areas(pixels, joint, job.pixel_mm, settings, tables.tags)
-        record |= {"status": "leaves image"} if of_areas is None else of_areas
-        record |= make_landmark_columns(joint, settings.areas)
-    if record["status"] == "found" and SQUARE in settings.areas:
-        record |= extract_features(
-            cut_region(pixels, joint.row, joint.col, settings.region_px),
-            job.pixel_mm,
-            tables.tags,
-            settings.bins,
-            settings.families,
-            settings.backend,
-            bones=_cut_bones(joint, settings.region_px),
-        )
+        how: Record = {"bins": settings.bins, "families": settings.families, "backend": settings.backend}
+        measured = measure_areas(pixels, joint, job.pixel_mm, tables.tags, areas=settings.areas, **how)
+        if SQUARE in settings.areas and "status" not in measured:
+            square = cut_region(pixels, joint.row, joint.col, settings.region_px)
+            bones = _cut_bones(joint, settings.region_px)
+            of_square = measure_square(square, joint, job.pixel_mm, tables.tags, bones=bones, **how)
+            measured = of_square if "status" in of_square else measured | of_square
+        record |= measured | make_landmark_columns(joint, settings.areas)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 

@@ -23,7 +23,7 @@ from ...model.sampling.display_sampling import sample_display_processing
 from ...model.sampling.knee_sampling import sample_knee
 from ...simulation import simulate
 from ...study.statistics.features.reliability import icc
-from ...texture import make_texture_region, measure_texture_features
+from ...texture import make_texture_region, measure_texture_features, mirror_texture_features
 from ..raycasting.raycast_engines import Row
 
 _PROTOCOL = "fixed_flexion"
@@ -56,11 +56,11 @@ def measure_texture_conditions(knees: int, workers: int = 1) -> list[Row]:
     """
     measured = map_in_parallel(_measure_knee, range(knees), shared={}, workers=workers)
     rows: list[Row] = []
-    for condition in measured[0][0]:
+    for condition in measured[0]:
         if condition == "reference":
             continue
-        for feature in measured[0][0]["reference"]:
-            pairs = np.array([[values[name][feature] for name in ("reference", condition)] for values, _ in measured])
+        for feature in measured[0]["reference"]:
+            pairs = np.array([[values[name][feature] for name in ("reference", condition)] for values in measured])
             rows.append({"condition": condition, "feature": feature, "knees": knees, **_compare_pairs(pairs)})
     return rows
 
@@ -90,8 +90,8 @@ def measure_texture_meaning(knees: int, workers: int = 1) -> list[Row]:
     return rows
 
 
-def _measure_knee(index: int) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
-    """Measure one knee under all conditions; return features by condition, and properties of the knee."""
+def _measure_knee(index: int) -> dict[str, dict[str, float]]:
+    """Measure one knee under all conditions; return its features by condition."""
     knee, reference = _sample_case(index)
     built = build(knee, reference)
     radiograph = _simulate(built, reference, index)
@@ -104,7 +104,7 @@ def _measure_knee(index: int) -> tuple[dict[str, dict[str, float]], dict[str, fl
     for name, processing in _list_displays(index).items():
         shown = np.asarray(render_for_display(radiograph, bits=16, processing=processing), np.float64)
         values[name] = _measure_radiograph(radiograph, shown)
-    return values, _describe_knee(knee)
+    return values
 
 
 def _measure_reference(index: int) -> tuple[dict[str, float], dict[str, float]]:
@@ -122,7 +122,7 @@ def _sample_case(index: int) -> tuple[Knee, Protocol]:
 
 
 def _sample_acquisition(nominal: Protocol, rng: np.random.Generator) -> Protocol:
-    """Sample an acquisition that shows the whole of the small detector."""
+    """Sample an acquisition without collimation and side marker."""
     return replace(sample_acquisition(nominal, rng=rng), field_width_mm=0.0, field_height_mm=0.0, marker="none")
 
 
@@ -148,7 +148,7 @@ def _scale(pixels: int) -> int:
 
 
 def _list_displays(index: int) -> dict[str, str | FlatPanelProcessing]:
-    """List kinds of display processing; the last one is another one for each knee, as on equipment of other vendors."""
+    """List display processing by name; `display_sampled` differs between knees, as on equipment of several vendors."""
     sampled = sample_display_processing(rng=np.random.default_rng([66, index]))
     return {"display_log": "log", "display_processed": "processed", "display_film": "film", "display_sampled": sampled}
 
@@ -168,8 +168,7 @@ def _measure_radiograph(radiograph: Radiograph, image: Array | None = None) -> d
         _REGION, radiograph.truth.landmarks_px, pixels, side=radiograph.knee.side, pixel_mm=pixel_mm
     )
     values = measure_texture_features(pixels, pixel_mm=pixel_mm, mask=mask)
-    # An orientation has no mean on a line.
-    return {name: value for name, value in values.items() if "Orientation" not in name}
+    return mirror_texture_features(values) if radiograph.knee.side == "left" else values
 
 
 def _describe_knee(knee: Knee) -> dict[str, float]:
