@@ -115,7 +115,9 @@ def make_experiment(
         If workers are killed repeatedly.
     """
     require_extra(execution.scheduler)
-    from .study.design.sensitivity_plan import compute_bounds  # This import requires the `study` extra.
+    # These imports require the `study` extra.
+    from .radiomics.features.area_features import require_resolved_texture
+    from .study.design.sensitivity_plan import compute_bounds
 
     given = settings if isinstance(settings, ExperimentSettings) else merge_settings(settings or {})
     plan = plan_cohort(given.preset, seed=given.seed, overrides=given.cohort)
@@ -123,6 +125,8 @@ def make_experiment(
     known = {"repeats": plan.repeats, "reference": "reference" if "reference" in names else names[0]}
     chosen = StudySettings(**{**known, **given.study, "seed": given.seed})
     film_set = None if given.films is None else _make_film_set(given.films, out, names, chosen)
+    largest_mm = max(exposure.protocol.pixel_mm for case in plan.cases for exposure in case.exposures)
+    require_resolved_texture(largest_mm, chosen.families)
     # The designed experiments are planned before the cohort is simulated, so that invalid sizes raise an error early.
     plans = _make_design_plans(plan, given.design_sizes, chosen.reference)
     manifest = _make_manifest(plan, out, "cohort", given.engine, execution)

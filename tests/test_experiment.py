@@ -19,6 +19,7 @@ from pssf.experiment import (
 )
 from pssf.io import study_results
 from pssf.study import StudyResult, StudySettings, resume
+from pssf.study.measurement import _make_jobs
 
 
 def write_tiny_cohort_settings(folder):
@@ -61,6 +62,25 @@ def test_invalid_settings_are_rejected_before_any_radiograph_is_made(tmp_path):
     with pytest.raises(pssf.InputError, match=r"families must be one of .*, got 'glmc'"):
         make_tiny_experiment(tmp_path, write_tiny_cohort_settings(tmp_path), families=("glmc",))
     assert not (tmp_path / "out").exists()
+
+
+def test_large_pixels_are_rejected_before_any_radiograph_is_made(tmp_path):
+    cohort = write_tiny_cohort_settings(tmp_path)
+    with pytest.raises(pssf.InputError, match="pixel_mm must be at most"):
+        make_tiny_experiment(tmp_path, cohort, families=["glcm", "vot"])
+    assert not (tmp_path / "out" / "manifest.csv").exists()
+
+
+def test_areas_are_placed_by_the_labels_of_each_radiograph(tmp_path):
+    settings = {"families": ["glcm"], "areas": ["square", "epiphysis"], "regions": "truth", "retested": 0}
+    made, _ = make_tiny_experiment(tmp_path, write_tiny_cohort_settings(tmp_path), **settings)
+    assert made.settings.areas == ("square", "epiphysis")
+    for job in _make_jobs(made.manifest, with_truth=True, with_landmarks=True):
+        truth = pssf.load(made.out / job.file).truth
+        for name, place in job.landmarks_px.items():
+            assert place == pytest.approx(truth.landmarks_px[name], abs=1e-3)
+    with pytest.raises(pssf.InputError, match="must have true tibial landmarks"):
+        _make_jobs(made.manifest.drop(columns="truth_medial_spine_row_px"), with_truth=True, with_landmarks=True)
 
 
 def test_the_first_protocol_replaces_a_missing_reference_protocol(tmp_path):
