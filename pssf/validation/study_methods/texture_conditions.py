@@ -30,6 +30,8 @@ _PROTOCOL = "fixed_flexion"
 _REGION = "medial_subchondral"
 # Rows and columns of the detector, in pixels of 0.15 mm: 240 x 180 mm, the smallest field to which scatter is fitted.
 _ROWS, _COLS = 1600, 1200
+# Additional distance between leg and detector, in mm, so that a rotated leg has room (assumed).
+_CLEARANCE_MM = 15.0
 # Pixel size of the condition with larger pixels, in mm.
 _COARSE_MM = 0.2
 _GRADES = (0, 1, 2, 3, 4)
@@ -123,7 +125,14 @@ def _sample_case(index: int) -> tuple[Knee, Protocol]:
 
 def _sample_acquisition(nominal: Protocol, rng: np.random.Generator) -> Protocol:
     """Sample an acquisition without collimation and side marker."""
-    return replace(sample_acquisition(nominal, rng=rng), field_width_mm=0.0, field_height_mm=0.0, marker="none")
+    sampled = sample_acquisition(nominal, rng=rng)
+    return replace(
+        sampled,
+        field_width_mm=0.0,
+        field_height_mm=0.0,
+        marker="none",
+        sod_mm=sampled.sod_mm - _CLEARANCE_MM,
+    )
 
 
 def _list_conditions(reference: Protocol, index: int) -> dict[str, Protocol]:
