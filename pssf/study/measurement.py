@@ -31,6 +31,8 @@ _COLUMNS = (
     *("radiograph", "subject", "knee", "side", "grade", "protocol", "file", "sha256"),
     *("pixel_mm", "sdd_mm", "sod_mm", "truth_medial_row_px", "truth_medial_col_px"),
 )
+# Columns of the true tibial landmarks, by which regions of the tibia are placed.
+_TRUE_LANDMARKS = tuple(f"truth_{name}_{axis}_px" for name in TIBIAL_LANDMARKS for axis in ("row", "col"))
 
 
 def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> pd.DataFrame:
@@ -69,13 +71,14 @@ def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> pd.DataFr
     return manifest
 
 
-def _append_retest(manifest: pd.DataFrame, retest: pd.DataFrame | None) -> pd.DataFrame:
+def _append_retest(manifest: pd.DataFrame, retest: pd.DataFrame | None, settings: StudySettings) -> pd.DataFrame:
     """Append the repeat radiographs to the manifest, reduced to the columns that the study reads.
 
     The column ``kind`` is empty for radiographs of the manifest. Raise InputError if `retest` lacks a column, reuses a
     radiograph or a file, or is inconsistent with the manifest.
     """
-    columns = [*_COLUMNS, *(name for name in BASELINE_MANIFEST_COLUMNS if name in manifest)]
+    landmarks = _TRUE_LANDMARKS if _uses_true_landmarks(settings) else ()
+    columns = [*_COLUMNS, *(name for name in (*BASELINE_MANIFEST_COLUMNS, *landmarks) if name in manifest)]
     first = manifest[columns].assign(kind="", repeat_index="")
     if retest is None or retest.empty:
         return first
@@ -151,7 +154,7 @@ def measure_features(
         Worker processes are killed repeatedly.
     """
     manifest = check_manifest(manifest, run.settings)
-    radiographs = _append_retest(manifest, retest)
+    radiographs = _append_retest(manifest, retest, run.settings)
     table, work = _measure_records(
         run, radiographs, run.out / "features.csv", run.settings.region_px, "regions and features"
     )
@@ -210,7 +213,7 @@ def _measure_records(
     if earlier is not None and "sha256" in earlier:
         known = {row["sha256"]: row for row in earlier.to_dict("records")}
     require_resolved_texture(float(radiographs["pixel_mm"].max()), settings.families)
-    with_landmarks = settings.regions == "truth" and set(settings.areas) != {SQUARE}
+    with_landmarks = _uses_true_landmarks(settings)
     jobs = _make_jobs(radiographs, with_truth=settings.regions == "truth", with_landmarks=with_landmarks)
     records, work = measure_radiographs(
         jobs,
@@ -233,6 +236,11 @@ def _measure_records(
     return pd.DataFrame(records).drop(columns="sha256"), work
 
 
+def _uses_true_landmarks(settings: StudySettings) -> bool:
+    """Report whether true landmarks place regions of the tibia."""
+    return settings.regions == "truth" and set(settings.areas) != {SQUARE}
+
+
 def _make_jobs(radiographs: pd.DataFrame, with_truth: bool, with_landmarks: bool) -> list[MeasurementJob]:
     """Make one measurement job per radiograph, with the true medial joint line and landmarks if they are used."""
     truth = ["truth_medial_row_px", "truth_medial_col_px"]
@@ -245,7 +253,7 @@ def _make_jobs(radiographs: pd.DataFrame, with_truth: bool, with_landmarks: bool
     ]
     if not with_landmarks:
         return placed
-    columns = [f"truth_{name}_{axis}_px" for name in TIBIAL_LANDMARKS for axis in ("row", "col")]
+    columns = list(_TRUE_LANDMARKS)
     missing = [column for column in columns if column not in radiographs]
     if missing:
         raise InputError(f"radiographs must have true tibial landmarks for areas, got no column {missing[0]}")
