@@ -111,6 +111,14 @@ def test_resampling_does_not_hide_large_pixels():
     assert record == {"status": "coarse pixels"}
 
 
+def test_a_square_that_is_not_measured_may_leave_the_image():
+    record = measure(make_pixels(), SETTINGS | {"region_px": 450})
+    assert record["status"] == "leaves image"
+    record = measure(make_pixels(), SETTINGS | {"region_px": 450, "areas": ("medial_subchondral",)})
+    assert record["status"] == "found"
+    assert "vot_MeanDimension@medial_subchondral" in record
+
+
 def test_areas_need_landmarks_and_small_pixels():
     with pytest.raises(InputError, match="areas other than square need landmarks"):
         measure(make_pixels(), landmarks=None)

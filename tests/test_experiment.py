@@ -75,12 +75,12 @@ def test_areas_are_placed_by_the_labels_of_each_radiograph(tmp_path):
     settings = {"families": ["glcm"], "areas": ["square", "epiphysis"], "regions": "truth", "retested": 0}
     made, _ = make_tiny_experiment(tmp_path, write_tiny_cohort_settings(tmp_path), **settings)
     assert made.settings.areas == ("square", "epiphysis")
-    for job in _make_jobs(made.manifest, with_truth=True, with_landmarks=True):
+    for job in _make_jobs(made.manifest, made.settings):
         truth = pssf.load(made.out / job.file).truth
         for name, place in job.landmarks_px.items():
             assert place == pytest.approx(truth.landmarks_px[name], abs=1e-3)
     with pytest.raises(pssf.InputError, match="must have true tibial landmarks"):
-        _make_jobs(made.manifest.drop(columns="truth_medial_spine_row_px"), with_truth=True, with_landmarks=True)
+        _make_jobs(made.manifest.drop(columns="truth_medial_spine_row_px"), made.settings)
 
 
 def test_the_first_protocol_replaces_a_missing_reference_protocol(tmp_path):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from .shared_options import Out, Processes
+from .shared_options import Families, Out, Processes
 
 
 def features(
@@ -18,13 +18,7 @@ def features(
     workers: Processes,
     pixel_mm: Annotated[float, typer.Option(help="Pixel size in mm; 0 reads it from each file.")] = 0.0,
     bins: Annotated[int, typer.Option(help="Number of grey-level bins for texture features.")] = 64,
-    families: Annotated[
-        str,
-        typer.Option(
-            help="Feature families, separated by commas: firstorder, shape2D, glcm, glrlm, glszm, ngtdm, gldm "
-            "(default), and the texture measures fsa, vot, hot, lbp and spectrum."
-        ),
-    ] = "",
+    families: Families = "",
     backend: Annotated[
         str,
         typer.Option(help="Radiomics library: pyradiomics or mirp; default: pyradiomics if installed, else mirp."),

@@ -84,6 +84,13 @@ Matrix = Annotated[
         help="Number of pixels along the longer detector edge, for the same field of view; 0: as in the protocol."
     ),
 ]
+Families = Annotated[
+    str,
+    typer.Option(
+        help="Feature families, separated by commas: firstorder, shape2D, glcm, glrlm, glszm, ngtdm, gldm "
+        "(default), and the texture measures fsa, vot, hot, lbp and spectrum."
+    ),
+]
 KneeCounts = Annotated[
     str,
     typer.Option(

@@ -10,6 +10,7 @@ import typer
 
 from .shared_options import (
     CohortGrades,
+    Families,
     KneeCounts,
     Matrix,
     Out,
@@ -72,13 +73,7 @@ def study(
             "(labels; patient radiographs then use the reader)."
         ),
     ] = "template",
-    families: Annotated[
-        str,
-        typer.Option(
-            help="Feature families, separated by commas: firstorder, shape2D, glcm, glrlm, glszm, ngtdm, gldm "
-            "(default), and the texture measures fsa, vot, hot, lbp and spectrum."
-        ),
-    ] = "",
+    families: Families = "",
     areas: Annotated[
         str,
         typer.Option(

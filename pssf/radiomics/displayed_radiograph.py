@@ -6,6 +6,7 @@ interpolation and blur of neighbouring pixels.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from time import perf_counter
 from typing import Any, Protocol
 
@@ -28,7 +29,6 @@ from ..texture import TEXTURE_FAMILIES
 from .features.area_features import (
     COARSE,
     measure_areas,
-    measure_square,
     require_resolved_texture,
     resample_around_plateau,
     resolves_texture,
@@ -209,11 +209,8 @@ def measure_display(
     if region is not None:
         bright = region if joint.polarity == "bone bright" else -region
         signal = match_template_histogram(bright, templates[0], settings.pixel_mm)
-        grey, turned = np.sort(bright, axis=None), -1.0 if joint.polarity == "bone dark" else 1.0
-        signals = np.sort(signal, axis=None)[::-1].astype(np.float64)
-        record |= _extract(
-            signal, joint, settings, tables, square, lambda values: np.interp(turned * values, grey, signals)
-        )
+        to_signal = partial(_convert_grey_values, region=region, signal=signal, bone_dark=joint.polarity == "bone dark")
+        record |= _extract(signal, joint, settings, tables, square, to_signal)
         record |= make_landmark_columns(joint, settings.areas)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
@@ -398,6 +395,13 @@ def cut_resampled_region(
     )
 
 
+def _convert_grey_values(values: Array, *, region: Array, signal: NDArray[np.uint16], bone_dark: bool) -> Array:
+    """Convert grey values (rows, cols) to DN by the tone curve between a region and its signal, both (size, size)."""
+    sign = -1.0 if bone_dark else 1.0
+    grey, signals = np.sort(sign * region, axis=None), np.sort(signal, axis=None)[::-1].astype(np.float64)
+    return np.asarray(np.interp(sign * values, grey, signals))
+
+
 def _extract(
     signal: NDArray[np.uint16],
     joint: JointLocation,
@@ -413,17 +417,12 @@ def _extract(
     # Resampling cannot restore detail that larger pixels have lost.
     if not resolves_texture(joint.pixel_mm, settings.families):
         return {"status": COARSE}
-    how: dict[str, Any] = {"bins": settings.bins, "families": settings.families, "backend": settings.backend}
-    measured: dict[str, Any] = {}
+    whole, moved = signal, joint
     if set(settings.areas) != {SQUARE}:
         resampled, moved = resample_around_plateau(pixels, joint, settings.pixel_mm)
         whole = np.clip(np.rint(to_signal(resampled)), 0, 65535).astype(np.uint16)
-        measured = measure_areas(whole, moved, settings.pixel_mm, tables.tags, areas=settings.areas, **how)
-    if "status" in measured or SQUARE not in settings.areas:
-        return measured
     bones = _cut_bones(joint, settings)
-    of_square = measure_square(signal, joint, settings.pixel_mm, tables.tags, bones=bones, **how)
-    return of_square if "status" in of_square else measured | of_square
+    return measure_areas(whole, signal, moved, settings.pixel_mm, tables.tags, settings=settings, bones=bones)
 
 
 def _cut_bones(joint: JointLocation, settings: DisplayExtractionSettings) -> NDArray[np.bool_] | None:

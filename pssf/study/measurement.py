@@ -6,11 +6,11 @@ from pathlib import Path
 import pandas as pd
 
 from ..core.checks import InputError, require_choice
-from ..core.label_names import TIBIAL_LANDMARKS
 from ..io import study_results
 from ..radiomics.features.area_features import require_resolved_texture
 from ..radiomics.features.feature_families import SQUARE
 from ..radiomics.features.feature_table import (
+    LANDMARK_COLUMNS,
     NON_FEATURE_COLUMNS,
     TEXT_COLUMNS,
     ExtractionSettings,
@@ -18,6 +18,7 @@ from ..radiomics.features.feature_table import (
     Record,
     make_measurement_jobs,
     measure_radiographs,
+    read_landmark_columns,
 )
 from .design.manifest_checks import require_manifest, require_unique_files
 from .design.study_settings import StudySettings
@@ -32,7 +33,7 @@ _COLUMNS = (
     *("pixel_mm", "sdd_mm", "sod_mm", "truth_medial_row_px", "truth_medial_col_px"),
 )
 # Columns of the true tibial landmarks, by which regions of the tibia are placed.
-_TRUE_LANDMARKS = tuple(f"truth_{name}_{axis}_px" for name in TIBIAL_LANDMARKS for axis in ("row", "col"))
+_TRUE_LANDMARKS = tuple(f"truth_{name}" for name in LANDMARK_COLUMNS)
 
 
 def check_manifest(manifest: pd.DataFrame, settings: StudySettings) -> pd.DataFrame:
@@ -213,8 +214,7 @@ def _measure_records(
     if earlier is not None and "sha256" in earlier:
         known = {row["sha256"]: row for row in earlier.to_dict("records")}
     require_resolved_texture(float(radiographs["pixel_mm"].max()), settings.families)
-    with_landmarks = _uses_true_landmarks(settings)
-    jobs = _make_jobs(radiographs, with_truth=settings.regions == "truth", with_landmarks=with_landmarks)
+    jobs = _make_jobs(radiographs, settings)
     records, work = measure_radiographs(
         jobs,
         load_pixels=run.load_pixels,
@@ -241,24 +241,21 @@ def _uses_true_landmarks(settings: StudySettings) -> bool:
     return settings.regions == "truth" and set(settings.areas) != {SQUARE}
 
 
-def _make_jobs(radiographs: pd.DataFrame, with_truth: bool, with_landmarks: bool) -> list[MeasurementJob]:
+def _make_jobs(radiographs: pd.DataFrame, settings: StudySettings) -> list[MeasurementJob]:
     """Make one measurement job per radiograph, with the true medial joint line and landmarks if they are used."""
-    truth = ["truth_medial_row_px", "truth_medial_col_px"]
-    jobs = make_measurement_jobs(radiographs.to_dict("records"))
-    if not with_truth:
+    rows = radiographs.to_dict("records")
+    jobs = make_measurement_jobs(rows)
+    if settings.regions != "truth":
         return jobs
-    placed = [
-        replace(job, place_px=(float(row), float(col)))
-        for job, (row, col) in zip(jobs, radiographs[truth].to_numpy(), strict=True)
-    ]
-    if not with_landmarks:
-        return placed
-    columns = list(_TRUE_LANDMARKS)
-    missing = [column for column in columns if column not in radiographs]
-    if missing:
+    with_landmarks = _uses_true_landmarks(settings)
+    missing = [column for column in _TRUE_LANDMARKS if column not in radiographs]
+    if with_landmarks and missing:
         raise InputError(f"radiographs must have true tibial landmarks for areas, got no column {missing[0]}")
-    places = radiographs[columns].to_numpy(float).reshape(len(radiographs), -1, 2).tolist()
     return [
-        replace(job, landmarks_px={name: (row, col) for name, (row, col) in zip(TIBIAL_LANDMARKS, of_job, strict=True)})
-        for job, of_job in zip(placed, places, strict=True)
+        replace(
+            job,
+            place_px=(float(row["truth_medial_row_px"]), float(row["truth_medial_col_px"])),
+            landmarks_px=read_landmark_columns(row, "truth_") if with_landmarks else None,
+        )
+        for job, row in zip(jobs, rows, strict=True)
     ]

@@ -6,9 +6,10 @@ from scipy import fft, ndimage
 from ..core.checks import Array
 from .texture_scales import TextureRegion, UnmeasurableTextureError
 
-# Number of pixel pairs below which the variance at a distance is not measured.
+# Number of pixel pairs below which the mean square at a distance is not measured.
 _MIN_PAIRS = 50
-# Mean square difference, relative to the variance, below which it consists of rounding errors of the transforms.
+# Mean square difference below which it consists of rounding errors of the transforms, relative to the mean square of
+# the grey values.
 _MIN_RELATIVE_SQUARE = 1e-10
 
 
@@ -75,7 +76,7 @@ def interpolate_variogram(squares: Array, directions_deg: Array, scales_px: Arra
     distance = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])
     known = (squares > 0) & (distance > 0)
     ratio = np.log(np.divide(squares, distance, out=np.ones_like(squares), where=known))
-    # Where no pixels are paired, the nearest known ratio is used; at distance 0, the mean of its four neighbours.
+    # The nearest known ratio replaces an unknown one; the mean of four neighbours replaces the ratio at distance 0.
     ratio = ratio[tuple(ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True))]
     ratio[reach, reach] = ratio[[reach - 1, reach + 1, reach, reach], [reach, reach, reach - 1, reach + 1]].mean()
     places = _list_displacements(directions_deg, scales_px) + reach

@@ -103,13 +103,24 @@ def make_texture_region(
         raise RegionOutsideImageError(
             f"image must contain the region {name}, got a corner {farthest * pixel_mm:.1f} mm outside"
         )
-    grid = np.moveaxis(np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float64), 0, -1)
+    near = _find_surroundings(corners, image.shape, pixel_mm)
+    grid = np.moveaxis(np.mgrid[near].astype(np.float64), 0, -1)
     depth_mm, across_mm = np.moveaxis(frame.map_to_crop(grid, width_mm, 1), -1, 0)
-    mask = (depth_mm >= top) & (depth_mm < bottom) & (across_mm >= first) & (across_mm < last)
+    mask = np.zeros(image.shape, np.bool_)
+    mask[near] = (depth_mm >= top) & (depth_mm < bottom) & (across_mm >= first) & (across_mm < last)
     if name.endswith("_adaptive"):
+        mask = _adapt_to_texture(np.asarray(image, np.float64), mask, pixel_mm)
         # No superpixel may reach into the subchondral bone plate.
-        mask = _adapt_to_texture(np.asarray(image, np.float64), mask, pixel_mm) & (depth_mm >= top)
-    return np.asarray(mask)
+        mask[near] &= depth_mm >= top
+    return mask
+
+
+def _find_surroundings(corners: Array, shape: tuple[int, ...], pixel_mm: float) -> tuple[slice, slice]:
+    """Find the part of the image with a region of the given corners (4, 2) and the superpixels across its border."""
+    margin = np.ceil(2 * _SUPERPIXEL_MM / pixel_mm) + 2
+    low = np.maximum(np.floor(corners.min(axis=0)) - margin, 0).astype(int)
+    high = np.minimum(np.ceil(corners.max(axis=0)) + margin + 1, shape).astype(int)
+    return np.s_[low[0] : high[0], low[1] : high[1]]
 
 
 def _find_box(

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection
 from dataclasses import replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +26,29 @@ from .ibsi_tags import IbsiTags
 # Distance around the middle of the landmarks that is resampled, as a fraction of the distance of the plateau edges. It
 # contains all regions of the tibia.
 _REACH = 0.75
-
-
 # Status of a radiograph of which an area extends beyond the image, whose grey values have no measurable texture, or
 # whose pixels are too large for the texture measures.
 OUTSIDE, UNMEASURABLE, COARSE = "leaves image", "no texture", "coarse pixels"
+
+
+class AreaSettings(Protocol):
+    """Settings for the measurement of areas: `ExtractionSettings` or `DisplayExtractionSettings`."""
+
+    @property
+    def bins(self) -> int:
+        """Number of grey-level bins."""
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        """Feature families to measure."""
+
+    @property
+    def backend(self) -> str:
+        """Feature library."""
+
+    @property
+    def areas(self) -> tuple[str, ...]:
+        """Areas to measure."""
 
 
 def resolves_texture(pixel_mm: float, families: Collection[str]) -> bool:
@@ -75,38 +93,35 @@ def require_resolved_texture(pixel_mm: float, families: Collection[str]) -> None
 
 
 def measure_areas(
-    pixels: NDArray[np.integer],
+    pixels: NDArray[np.generic],
+    square: NDArray[np.generic] | None,
     joint: JointLocation,
     pixel_mm: float,
     tags: IbsiTags,
     *,
-    areas: Collection[str],
-    bins: int,
-    families: Collection[str],
-    backend: str,
+    settings: AreaSettings,
+    bones: NDArray[np.bool_] | None,
 ) -> dict[str, Any]:
-    """Measure the features of every area except the square.
+    """Measure the features of every area: of the regions of the tibia, and of the square around the medial joint line.
 
-    Shape features are omitted, because they would describe the area.
+    Shape features of regions are omitted, because they would describe the region.
 
     Parameters
     ----------
     pixels : (rows, cols) integer array, DN
-        Radiograph.
+        Radiograph, or the part of it with the regions of the tibia.
+    square : (size, size) integer array, DN, or None
+        Square; None if it is not measured.
     joint : JointLocation
-        Location of the joint, with landmarks.
+        Location of the joint, with landmarks in pixels of `pixels`.
     pixel_mm : float
         Pixel size, in mm.
     tags : dict of str to dict of str to str
         IBSI tags; see `load_ibsi_tags`.
-    areas : collection of str
-        Areas, from `feature_families.AREAS`.
-    bins : int
-        Number of grey-level bins.
-    families : collection of str
-        Feature families.
-    backend : str
-        Feature library.
+    settings : ExtractionSettings or DisplayExtractionSettings
+        Areas and features.
+    bones : (size, size) bool array or None
+        Mask of the bones in the square for shape features; None: the bones are segmented.
 
     Returns
     -------
@@ -119,76 +134,32 @@ def measure_areas(
     InputError
         The location has no landmarks, or a library is not installed.
     """
-    chosen = [area for area in areas if area != SQUARE]
-    if chosen and joint.landmarks_px is None:
-        raise InputError(f"areas other than {SQUARE} need landmarks, got regions without landmarks for {chosen[0]}")
+    regions = [area for area in settings.areas if area != SQUARE]
+    if regions and joint.landmarks_px is None:
+        raise InputError(f"areas other than {SQUARE} need landmarks, got regions without landmarks for {regions[0]}")
+    to_right = mirror_texture_features if joint.side == "left" else dict
     values: dict[str, Any] = {}
-    of_area = [family for family in families if family != "shape2D"]
-    for area in chosen:
-        assert joint.landmarks_px is not None
-        try:
+    families = [family for family in settings.families if family != "shape2D"]
+    try:
+        for area in regions:
+            assert joint.landmarks_px is not None
             mask = make_texture_region(area, joint.landmarks_px, pixels, side=joint.side, pixel_mm=pixel_mm)
             box = ndimage.find_objects(mask.astype(np.uint8))[0]
-            measured = extract_features(pixels[box], pixel_mm, tags, bins, of_area, backend, mask[box])
-        except RegionOutsideImageError:
-            return {"status": OUTSIDE}
-        except UnmeasurableTextureError:
-            return {"status": UNMEASURABLE}
-        values |= {name_in_area(name, area): value for name, value in _turn(measured, joint).items()}
-    return values
-
-
-def measure_square(
-    region: NDArray[np.generic],
-    joint: JointLocation,
-    pixel_mm: float,
-    tags: IbsiTags,
-    *,
-    bins: int,
-    families: Collection[str],
-    backend: str,
-    bones: NDArray[np.bool_] | None,
-) -> dict[str, Any]:
-    """Measure the features of the square around the medial joint line.
-
-    Parameters
-    ----------
-    region : (size, size) integer array, DN
-        Square.
-    joint : JointLocation
-        Location of the joint.
-    pixel_mm : float
-        Pixel size, in mm.
-    tags : dict of str to dict of str to str
-        IBSI tags; see `load_ibsi_tags`.
-    bins : int
-        Number of grey-level bins.
-    families : collection of str
-        Feature families.
-    backend : str
-        Feature library.
-    bones : (size, size) bool array or None
-        Mask of the bones for shape features; None: the bones are segmented.
-
-    Returns
-    -------
-    dict of str to float or str
-        Value of each feature; or only the column "status", if the texture cannot be measured.
-
-    Raises
-    ------
-    InputError
-        A library is not installed.
-    """
-    try:
-        return _turn(extract_features(region, pixel_mm, tags, bins, families, backend, bones=bones), joint)
+            measured = extract_features(
+                pixels[box], pixel_mm, tags, settings.bins, families, settings.backend, mask[box]
+            )
+            values |= {name_in_area(name, area): value for name, value in to_right(measured).items()}
+        if SQUARE in settings.areas:
+            assert square is not None
+            measured = extract_features(
+                square, pixel_mm, tags, settings.bins, settings.families, settings.backend, bones=bones
+            )
+            values |= to_right(measured)
+    except RegionOutsideImageError:
+        return {"status": OUTSIDE}
     except UnmeasurableTextureError:
         return {"status": UNMEASURABLE}
-
-
-def _turn(values: dict[str, float], joint: JointLocation) -> dict[str, Any]:
-    """Convert the features of a left knee to the frame of a right knee."""
-    return mirror_texture_features(values) if joint.side == "left" else dict(values)
+    return values
 
 
 def resample_around_plateau(

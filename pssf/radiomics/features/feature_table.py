@@ -21,7 +21,7 @@ from ..localisation.region_of_interest import cut_region
 from ..localisation.region_placement import hash_reader, locate_region
 from ..localisation.templates import Template
 from ..radiomics_tables import RadiomicsTables
-from .area_features import measure_areas, measure_square
+from .area_features import measure_areas
 from .feature_backends import BACKENDS, default_backend
 from .feature_families import FAMILIES, SQUARE
 
@@ -259,13 +259,17 @@ def measure_radiograph(
         **{name: getattr(joint, name) for name in SCORE_COLUMNS},
     }
     if joint.status == "found":
-        how: Record = {"bins": settings.bins, "families": settings.families, "backend": settings.backend}
-        measured = measure_areas(pixels, joint, job.pixel_mm, tables.tags, areas=settings.areas, **how)
-        if SQUARE in settings.areas and "status" not in measured:
-            square = cut_region(pixels, joint.row, joint.col, settings.region_px)
-            bones = _cut_bones(joint, settings.region_px)
-            of_square = measure_square(square, joint, job.pixel_mm, tables.tags, bones=bones, **how)
-            measured = of_square if "status" in of_square else measured | of_square
+        # The square may extend beyond the image if it is not measured.
+        has_square = SQUARE in settings.areas
+        measured = measure_areas(
+            pixels,
+            cut_region(pixels, joint.row, joint.col, settings.region_px) if has_square else None,
+            joint,
+            job.pixel_mm,
+            tables.tags,
+            settings=settings,
+            bones=_cut_bones(joint, settings.region_px) if has_square else None,
+        )
         record |= measured | make_landmark_columns(joint, settings.areas)
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
@@ -289,6 +293,26 @@ def make_landmark_columns(joint: JointLocation, areas: tuple[str, ...]) -> Recor
         return {}
     places = [place for name in TIBIAL_LANDMARKS for place in joint.landmarks_px[name]]
     return dict(zip(LANDMARK_COLUMNS, map(float, places), strict=True))
+
+
+def read_landmark_columns(row: Mapping[str, Any], prefix: str = "") -> dict[str, tuple[float, float]]:
+    """Read the landmarks of the tibia from the columns of a record or manifest.
+
+    Parameters
+    ----------
+    row : dict of str to object
+        Row with the columns LANDMARK_COLUMNS.
+    prefix : str, default ""
+        Text before the name of each column, such as "truth_" in a manifest.
+
+    Returns
+    -------
+    dict of str to (row, column) tuple
+        Landmarks, in pixels.
+    """
+    return {
+        name: (float(row[f"{prefix}{name}_row_px"]), float(row[f"{prefix}{name}_col_px"])) for name in TIBIAL_LANDMARKS
+    }
 
 
 def make_measurement_jobs(rows: Iterable[Mapping[str, Any]]) -> list[MeasurementJob]:

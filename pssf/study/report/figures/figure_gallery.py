@@ -7,11 +7,10 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from ....core.checks import Array
-from ....core.label_names import TIBIAL_LANDMARKS
 from ....core.resample import downsample_by_blocks
 from ....detector import render_for_display
 from ....radiomics.features.feature_families import SQUARE
-from ....radiomics.features.feature_table import LANDMARK_COLUMNS, LoadPixels
+from ....radiomics.features.feature_table import LoadPixels, read_landmark_columns
 from ....texture import make_texture_region
 from ...design.classification_tasks import MULTICLASS_TASKS
 from ...design.study_settings import SELECTIONS, StudySettings
@@ -106,8 +105,7 @@ def _make_area_masks(row: dict[str, Any], small: Array, areas: tuple[str, ...]) 
     regions = [area for area in areas if area != SQUARE]
     if not regions:
         return ()
-    places = np.array([row[name] for name in LANDMARK_COLUMNS]).reshape(-1, 2) / _BLOCK_PX
-    landmarks = {name: (float(at[0]), float(at[1])) for name, at in zip(TIBIAL_LANDMARKS, places, strict=True)}
+    landmarks = {name: (at[0] / _BLOCK_PX, at[1] / _BLOCK_PX) for name, at in read_landmark_columns(row).items()}
     pixel_mm = row["pixel_mm"] * _BLOCK_PX
     return tuple(make_texture_region(area, landmarks, small, side=row["side"], pixel_mm=pixel_mm) for area in regions)
 
