@@ -37,6 +37,7 @@ from .features.feature_backends import default_backend
 from .features.feature_families import FAMILIES, SQUARE
 from .features.feature_table import (
     FILM_COLUMNS,
+    JSW_COLUMNS,
     SCORE_COLUMNS,
     ExtractionSettings,
     Measurement,
@@ -212,6 +213,8 @@ def measure_display(
         to_signal = partial(_convert_grey_values, region=region, signal=signal, bone_dark=joint.polarity == "bone dark")
         record |= _extract(signal, joint, settings, tables, square, to_signal)
         record |= make_landmark_columns(joint, settings.areas)
+        if joint.jsw_shares is not None:
+            record |= dict(zip(JSW_COLUMNS, joint.jsw_shares, strict=True))
     return record, {"localisation": located - began, "features": perf_counter() - located}
 
 

@@ -40,6 +40,15 @@ Study methods
     - ``refutation``: verdicts on the claims of the study for cohorts with random labels.
     - ``ablation``: run time of the study if one step is omitted, for each step.
     - ``backends``: features of MIRP compared with features of PyRadiomics.
+Texture measures
+    - ``fractal_truth``: fractal dimensions compared with the dimensions of known surfaces.
+    - ``fractal_disturbances``: change of the dimensions with noise, blur, gradients and tone.
+    - ``fractal_orientation``: orientation and aspect ratio of anisotropic surfaces.
+    - ``fractal_times``: run time per region.
+    - ``texture_conditions``: agreement of texture measures between acquisitions and display processing.
+    - ``texture_ranking``: agreement of three fractal methods, compared with a published ranking.
+    - ``texture_meaning``: correlation of texture measures with properties of sampled knees.
+    - ``texture_structure``: Sobol indices of texture measures for the structure of the trabecular bone.
 
 Notes
 -----
@@ -106,7 +115,7 @@ OPTIONAL_TABLES = (
     "throughput", "worker_scaling", "left_out", "localisation", "localisation_limits", "coverage", "refutation",
     "ablation", "backends", "gvxr", "ctsimu", "ctsimu_scatter", "ctsimu_images", "calibration",
     "fractal_truth", "fractal_disturbances", "fractal_orientation", "fractal_times", "texture_conditions",
-    "texture_meaning",
+    "texture_ranking", "texture_meaning", "texture_structure",
 )  # fmt: skip
 
 
@@ -221,7 +230,11 @@ def _make_texture_jobs(knees: int, workers: int) -> dict[str, Callable[[], list[
         "texture_conditions": lambda: _import_study_module("texture_conditions").measure_texture_conditions(
             knees, workers
         ),
+        "texture_ranking": lambda: _import_study_module("texture_ranking").measure_texture_ranking(knees, workers),
         "texture_meaning": lambda: _import_study_module("texture_conditions").measure_texture_meaning(knees, workers),
+        "texture_structure": lambda: _import_study_module("texture_structure").measure_texture_structure(
+            knees, workers
+        ),
     }
 
 

@@ -34,7 +34,12 @@ TEXT_COLUMNS = ("radiograph", "sha256", "settings", "checksum", "status", *FILM_
 SCORE_COLUMNS = ("score", "compartment_score", "side_margin", "orientation_margin", "scale")
 # Columns of the landmarks by which areas were placed; only in records with areas other than the square.
 LANDMARK_COLUMNS = tuple(f"{name}_{axis}_px" for name in TIBIAL_LANDMARKS for axis in ("row", "col"))
-NON_FEATURE_COLUMNS = (*TEXT_COLUMNS, "row_px", "col_px", "film_pixel_mm", *SCORE_COLUMNS, *LANDMARK_COLUMNS)
+# Minimum joint space of each compartment as a fraction of the plateau width, measured by the reader.
+JSW_COLUMNS = ("jsw_medial_share", "jsw_lateral_share")
+NON_FEATURE_COLUMNS = (
+    *(*TEXT_COLUMNS, "row_px", "col_px", "film_pixel_mm"),
+    *(*SCORE_COLUMNS, *LANDMARK_COLUMNS, *JSW_COLUMNS),
+)
 # Subpackages whose code and tables affect feature records. Their hashes are included in the settings hash.
 _CODE_PACKAGES = ("core", "data", "detector", "io", "radiomics", "reader", "texture")
 _LIBRARIES = ("numpy", "scikit-image", "scipy")

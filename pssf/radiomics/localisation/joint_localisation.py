@@ -79,6 +79,8 @@ class JointLocation:
         Mask of femur and tibia in the radiograph; None if the localisation does not segment the bones.
     landmarks_px : dict of str to (row, column) tuple, or None
         Landmarks of the tibia, in pixels of the radiograph; None if the localisation does not find landmarks.
+    jsw_shares : (float, float) or None
+        Minimum medial and lateral joint space as fractions of the plateau width; None if it is not measured.
     """
 
     row: float
@@ -100,6 +102,7 @@ class JointLocation:
     pixel_height: float = 1.0
     bones: NDArray[np.bool_] | None = field(default=None, repr=False, compare=False)
     landmarks_px: Landmarks | None = field(default=None, repr=False, compare=False)
+    jsw_shares: tuple[float, float] | None = field(default=None, repr=False, compare=False)
 
     @property
     def square_pixel_row(self) -> float:

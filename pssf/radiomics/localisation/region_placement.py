@@ -140,8 +140,8 @@ def locate_joint_by_reader(
     -------
     JointLocation
         Location of the joint. `score` is the score of the knee, `compartment_score` the median confidence of the
-        landmarks, and the margins are 1 or -1. The position is NaN if no knee was read. `bones` and
-        `landmarks_px` are those of the reader.
+        landmarks, and the margins are 1 or -1. The position is NaN if no knee was read. `bones`,
+        `landmarks_px` and `jsw_shares` are those of the reader.
 
     Raises
     ------
@@ -178,7 +178,12 @@ def locate_joint_by_reader(
         pixel_mm_source="plateau" if pixel_mm is None else "given",
     )
     tibia = {name: knee.landmarks_px[name] for name in TIBIAL_LANDMARKS}
-    return replace(location, bones=knee.masks["femur"] | knee.masks["tibia"], landmarks_px=tibia)
+    return replace(
+        location,
+        bones=knee.masks["femur"] | knee.masks["tibia"],
+        landmarks_px=tibia,
+        jsw_shares=(knee.measures.medial_jsw_share, knee.measures.lateral_jsw_share),
+    )
 
 
 def locate_joint_at(

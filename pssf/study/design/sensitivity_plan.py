@@ -246,14 +246,34 @@ def sample_parameters(bounds: Mapping[str, tuple[float, float]], samples: int, s
     (samples * (groups + 2), parameters) float array
         Points, each column in the unit of its parameter.
     """
-    rng = np.random.default_rng(seed)
-    layers = rng.permuted(np.tile(np.arange(samples)[:, None], (1, 2 * len(bounds))), axis=0)
-    one, other = np.split(_decorrelate((layers + rng.random(layers.shape)) / samples), 2, axis=1)
-    of = np.array([PARAMETER_SPACE[name].group for name in bounds])
-    between = [np.where(of == group, other, one) for group in dict.fromkeys(of)]
-    unit = np.stack([one, *between, other], axis=1).reshape(-1, len(bounds))
+    unit = sample_unit_design([PARAMETER_SPACE[name].group for name in bounds], samples, seed)
     low, high = np.array(list(bounds.values())).T
     return np.asarray(low + unit * (high - low))
+
+
+def sample_unit_design(groups: Sequence[str], samples: int, seed: int) -> Array:
+    """Sample the points of a Sobol design between 0 and 1, in the row order that SALib expects.
+
+    Parameters
+    ----------
+    groups : sequence of str
+        Group of each parameter.
+    samples : int
+        Number of samples N of the design, more than twice the number of parameters.
+    seed : int
+        Seed of the Latin hypercube sampling.
+
+    Returns
+    -------
+    (samples * (groups + 2), parameters) float array, dimensionless
+        Points, as `sample_parameters` describes them.
+    """
+    rng = np.random.default_rng(seed)
+    layers = rng.permuted(np.tile(np.arange(samples)[:, None], (1, 2 * len(groups))), axis=0)
+    one, other = np.split(_decorrelate((layers + rng.random(layers.shape)) / samples), 2, axis=1)
+    of = np.array(groups)
+    between = [np.where(of == group, other, one) for group in dict.fromkeys(groups)]
+    return np.stack([one, *between, other], axis=1).reshape(-1, len(groups))
 
 
 def _decorrelate(unit_samples: Array) -> Array:

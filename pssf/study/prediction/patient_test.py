@@ -49,6 +49,7 @@ from ..statistics.scores.patient_scores import (
     score_films,
     score_grades,
 )
+from .film_measures import score_film_measures
 
 # Largest number of patient radiographs from which pixel pitch and region size are estimated (assumed sufficient).
 _MAX_SAMPLED_FILMS = 15
@@ -76,7 +77,7 @@ class FilmTestResult:
     ----------
     tables : dict of str to DataFrame
         Tables by name. ``films``: one row per patient radiograph with its probabilities; ``films_scores``: result of
-        `score_films`; ``films_grades``: result of `score_grades`.
+        `score_films`; ``films_grades``: result of `score_grades`; ``films_measures``: result of `score_film_measures`.
     counts : DataFrame
         Number of radiographs per grade and status, from `count_films_by_grade`.
     display_settings : DisplayExtractionSettings
@@ -184,15 +185,7 @@ def evaluate_on_films(bench: MeasurementContext, films: FilmSet, manifest: pd.Da
     bench = replace(bench, templates=templates)
     with bench.execution.timer.stage("pixel pitch and region of patient radiographs"):
         pixel_mm, region_mm = _resolve_pitch_and_region_mm(films, templates, law, pitch_mm, largest_mm)
-    how = DisplayExtractionSettings(
-        pixel_mm=pixel_mm,
-        region_px=round(region_mm / pixel_mm),
-        bins=settings.bins,
-        families=tuple(family for family in settings.families if family in FILM_FAMILIES),
-        backend=settings.backend,
-        regions=settings.film_regions,
-        areas=settings.areas,
-    )
+    how = _make_display_settings(settings, pixel_mm, region_mm)
     jobs = make_measurement_jobs(cohort.to_dict("records"))
     own = _measure_jobs(bench, how, jobs, films.load_cohort, "cohort as displayed")
     own = cohort.merge(own.drop(columns="sha256"), on="radiograph", validate="one_to_one")
@@ -206,14 +199,34 @@ def evaluate_on_films(bench: MeasurementContext, films: FilmSet, manifest: pd.Da
         models = {one.name: _pack_film_model(one, how, templates, cohort, settings) for one in kept}
     table, of_two, of_grades = _predict_films(listed, names, kept)
     bootstrap = {"replicates": settings.replicates, "seed": settings.seed}
-    scores = {"films_scores": score_films(of_two, **bootstrap), "films_grades": score_grades(of_grades, **bootstrap)}
+    with bench.execution.timer.stage("measures of patient radiographs"):
+        graded = listed[(listed["status"] == "found") & listed["grade"].notna()]
+        measures = score_film_measures(usable, graded, names, **bootstrap)
     return FilmTestResult(
-        tables={"films": table, **scores},
+        tables={
+            "films": table,
+            "films_scores": score_films(of_two, **bootstrap),
+            "films_grades": score_grades(of_grades, **bootstrap),
+            "films_measures": measures,
+        },
         counts=count_films_by_grade(listed),
         display_settings=how,
         protocol=films.protocol,
         training_radiographs=(len(usable), len(own)),
         models=models,
+    )
+
+
+def _make_display_settings(settings: StudySettings, pixel_mm: float, region_mm: float) -> DisplayExtractionSettings:
+    """Make the settings for displayed radiographs from those of the study."""
+    return DisplayExtractionSettings(
+        pixel_mm=pixel_mm,
+        region_px=round(region_mm / pixel_mm),
+        bins=settings.bins,
+        families=tuple(family for family in settings.families if family in FILM_FAMILIES),
+        backend=settings.backend,
+        regions=settings.film_regions,
+        areas=settings.areas,
     )
 
 

@@ -210,7 +210,7 @@ def _explain_undecided_tables(findings: Findings) -> dict[str, str]:
     patients = {} if findings.external is None else findings.external.tables
     reasons = {
         name: explain_undecided_intervals(patients[name], f"{metric}_low", f"{metric}_high") if name in patients else ""
-        for name, metric in (("films_scores", "auc"), ("films_grades", "kappa"))
+        for name, metric in (("films_scores", "auc"), ("films_grades", "kappa"), ("films_measures", "auc"))
     }
     subgroups = findings.subgroups
     return reasons | {

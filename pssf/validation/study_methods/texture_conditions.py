@@ -6,6 +6,7 @@ subchondral region is placed by true landmarks, so that localisation errors have
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from scipy import stats
@@ -22,6 +23,7 @@ from ...model.sampling.acquisition import sample_acquisition
 from ...model.sampling.display_sampling import sample_display_processing
 from ...model.sampling.knee_sampling import sample_knee
 from ...simulation import simulate
+from ...study.statistics.features.icc_by_subject import compute_icc_interval, compute_weighted_icc, sample_knee_weights
 from ...study.statistics.features.reliability import icc
 from ...texture import make_texture_region, measure_texture_features, mirror_texture_features
 from ..raycasting.raycast_engines import Row
@@ -35,6 +37,12 @@ _CLEARANCE_MM = 15.0
 # Pixel size of the condition with larger pixels, in mm.
 _COARSE_MM = 0.2
 _GRADES = (0, 1, 2, 3, 4)
+# Number of imaging systems, each of which has one display processing for all knees.
+_SYSTEMS = 6
+# Bootstrap samples of the knees.
+RESAMPLES = 1000
+# Displacement of the region along rows and columns, in mm (assumed error of its placement).
+_TRANSLATION_MM = 1.0
 # Quantities of the knee that are compared with the measures.
 BONE_PROPERTIES = ("bone_density", "subchondral_plate", "age_years", "jsw_medial_mm", "grade")
 
@@ -53,10 +61,10 @@ def measure_texture_conditions(knees: int, workers: int = 1) -> list[Row]:
     -------
     list of dict
         One row per condition and feature: Pearson correlation ``r`` and ICC(2,1) ``icc`` between the reference and the
-        condition over the knees, mean change divided by the standard deviation between knees ``shift_sd``, and
-        coefficient of variation of two measurements ``cv_percent``.
+        condition over the knees with the 95 % interval ``icc_low`` to ``icc_high``, mean change divided by the standard
+        deviation between knees ``shift_sd``, and coefficient of variation of two measurements ``cv_percent``.
     """
-    measured = map_in_parallel(_measure_knee, range(knees), shared={}, workers=workers)
+    measured = measure_knees(knees, workers)
     rows: list[Row] = []
     for condition in measured[0]:
         if condition == "reference":
@@ -65,6 +73,25 @@ def measure_texture_conditions(knees: int, workers: int = 1) -> list[Row]:
             pairs = np.array([[values[name][feature] for name in ("reference", condition)] for values in measured])
             rows.append({"condition": condition, "feature": feature, "knees": knees, **_compare_pairs(pairs)})
     return rows
+
+
+@lru_cache(maxsize=1)  # Tables `texture_conditions` and `texture_ranking` use the same measurements.
+def measure_knees(knees: int, workers: int) -> tuple[dict[str, dict[str, float]], ...]:
+    """Measure sampled knees under all conditions.
+
+    Parameters
+    ----------
+    knees : int
+        Number of sampled knees, with KL 0 to 4 in turn.
+    workers : int
+        Number of processes.
+
+    Returns
+    -------
+    tuple of dict
+        Features by condition of each knee.
+    """
+    return tuple(map_in_parallel(_measure_knee, range(knees), shared={}, workers=workers))
 
 
 def measure_texture_meaning(knees: int, workers: int = 1) -> list[Row]:
@@ -96,31 +123,45 @@ def _measure_knee(index: int) -> dict[str, dict[str, float]]:
     """Measure one knee under all conditions; return its features by condition."""
     knee, reference = _sample_case(index)
     built = build(knee, reference)
-    radiograph = _simulate(built, reference, index)
-    values = {"reference": _measure_radiograph(radiograph)}
+    radiograph = simulate_one(built, reference, index)
+    values = {
+        "reference": measure_radiograph(radiograph),
+        "translation": measure_radiograph(radiograph, shift_mm=_TRANSLATION_MM),
+    }
     for name, protocol in _list_conditions(reference, index).items():
         # Another posture needs another build.
         posed = build(knee, protocol) if name in ("repeat", "rotation") else built
         seed = index if name not in ("repeat", "noise") else index + 10**6
-        values[name] = _measure_radiograph(_simulate(posed, protocol, seed))
+        values[name] = measure_radiograph(simulate_one(posed, protocol, seed))
     for name, processing in _list_displays(index).items():
         shown = np.asarray(render_for_display(radiograph, bits=16, processing=processing), np.float64)
-        values[name] = _measure_radiograph(radiograph, shown)
+        values[name] = measure_radiograph(radiograph, shown)
     return values
 
 
 def _measure_reference(index: int) -> tuple[dict[str, float], dict[str, float]]:
     """Measure one knee under the reference acquisition; return its features and its properties."""
     knee, reference = _sample_case(index)
-    return _measure_radiograph(_simulate(build(knee, reference), reference, index)), _describe_knee(knee)
+    return measure_radiograph(simulate_one(build(knee, reference), reference, index)), _describe_knee(knee)
 
 
 def _sample_case(index: int) -> tuple[Knee, Protocol]:
     """Sample a knee and its reference acquisition."""
     rng = np.random.default_rng([62, index])
     knee = sample_knee(grade=_GRADES[index % len(_GRADES)], rng=rng, grade_table="population")
-    nominal = replace(load_protocol(_PROTOCOL), rows=_ROWS, cols=_COLS)
+    nominal = load_region_protocol()
     return knee, _sample_acquisition(nominal, np.random.default_rng([63, index]))
+
+
+def load_region_protocol() -> Protocol:
+    """Load the protocol with a field that is just large enough for the scatter.
+
+    Returns
+    -------
+    Protocol
+        Protocol of the fixed-flexion view.
+    """
+    return replace(load_protocol(_PROTOCOL), rows=_ROWS, cols=_COLS)
 
 
 def _sample_acquisition(nominal: Protocol, rng: np.random.Generator) -> Protocol:
@@ -137,7 +178,7 @@ def _sample_acquisition(nominal: Protocol, rng: np.random.Generator) -> Protocol
 
 def _list_conditions(reference: Protocol, index: int) -> dict[str, Protocol]:
     """List protocols that differ from the reference acquisition in one respect."""
-    nominal = replace(load_protocol(_PROTOCOL), rows=_ROWS, cols=_COLS)
+    nominal = load_region_protocol()
     return {
         "repeat": _sample_acquisition(nominal, np.random.default_rng([64, index])),
         "noise": reference,
@@ -157,25 +198,67 @@ def _scale(pixels: int) -> int:
 
 
 def _list_displays(index: int) -> dict[str, str | FlatPanelProcessing]:
-    """List display processing by name; `display_sampled` differs between knees, as on equipment of several vendors."""
+    """List display processing by name.
+
+    `display_sampled` differs between knees, as in images of many systems. Each `system` is the same for all knees.
+    """
     sampled = sample_display_processing(rng=np.random.default_rng([66, index]))
-    return {"display_log": "log", "display_processed": "processed", "display_film": "film", "display_sampled": sampled}
+    systems = {
+        f"system_{number + 1}": sample_display_processing(rng=np.random.default_rng([67, number]))
+        for number in range(_SYSTEMS)
+    }
+    fixed = {"display_log": "log", "display_processed": "processed", "display_film": "film"}
+    return {**fixed, "display_sampled": sampled, **systems}
 
 
-def _simulate(built: BuiltKnee, protocol: Protocol, seed: int) -> Radiograph:
-    """Simulate one radiograph with one thread."""
+def simulate_one(built: BuiltKnee, protocol: Protocol, seed: int) -> Radiograph:
+    """Simulate one radiograph with one thread.
+
+    Parameters
+    ----------
+    built : BuiltKnee
+        Knee.
+    protocol : Protocol
+        Acquisition protocol.
+    seed : int
+        Seed of the quantum noise.
+
+    Returns
+    -------
+    Radiograph
+        Radiograph with true landmarks.
+    """
     return simulate(built, protocol, rng=np.random.default_rng([65, seed]), engine="scanline", workers=1)
 
 
-def _measure_radiograph(radiograph: Radiograph, image: Array | None = None) -> dict[str, float]:
-    """Measure the region of a radiograph, in its linear pixels or in an image (rows, cols) for display."""
+def measure_radiograph(
+    radiograph: Radiograph, image: Array | None = None, *, shift_mm: float = 0.0
+) -> dict[str, float]:
+    """Measure the texture of the medial subchondral region, which true landmarks place.
+
+    Parameters
+    ----------
+    radiograph : Radiograph
+        Simulated radiograph.
+    image : (rows, cols) array, grey, optional
+        Image for display that is measured instead of the linear pixels.
+    shift_mm : float, default 0.0
+        Displacement of the region along rows and along columns, in mm.
+
+    Returns
+    -------
+    dict of str to float
+        Features of a right knee; those of a left knee are mirrored.
+    """
     assert radiograph.truth is not None
     assert radiograph.knee is not None
     pixel_mm = radiograph.protocol.pixel_mm
     pixels = radiograph.pixels if image is None else image
-    mask = make_texture_region(
-        _REGION, radiograph.truth.landmarks_px, pixels, side=radiograph.knee.side, pixel_mm=pixel_mm
-    )
+    landmarks = {
+        name: (row + shift_mm / pixel_mm, col + shift_mm / pixel_mm)
+        for name, (row, col) in radiograph.truth.landmarks_px.items()
+    }
+    mask = make_texture_region(_REGION, landmarks, pixels, side=radiograph.knee.side, pixel_mm=pixel_mm)
     values = measure_texture_features(pixels, pixel_mm=pixel_mm, mask=mask)
     return mirror_texture_features(values) if radiograph.knee.side == "left" else values
 
@@ -188,9 +271,14 @@ def _describe_knee(knee: Knee) -> dict[str, float]:
 def _compare_pairs(pairs: Array) -> Mapping[str, float]:
     """Compare two measurements of each knee, (knees, 2)."""
     change = pairs[:, 1] - pairs[:, 0]
+    agreement = icc(pairs)[0]
+    drawn = compute_weighted_icc(pairs, sample_knee_weights(np.arange(len(pairs)), replicates=RESAMPLES, seed=0))[0]
+    low, high = compute_icc_interval(agreement, drawn, conditions=2, subjects=len(pairs))
     return {
         "r": float(np.corrcoef(pairs[:, 0], pairs[:, 1])[0, 1]),
-        "icc": icc(pairs)[0],
+        "icc": agreement,
+        "icc_low": low,
+        "icc_high": high,
         "shift_sd": float(change.mean() / np.std(pairs[:, 0], ddof=1)),
         "cv_percent": float(100 * np.sqrt(np.square(change).mean() / 2) / abs(pairs.mean())),
     }

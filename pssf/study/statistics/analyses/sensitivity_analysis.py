@@ -7,6 +7,7 @@ import numpy as np
 import pandas as pd
 from SALib.analyze import sobol
 
+from ....core.checks import Array
 from ...design.sensitivity_plan import PARAMETER_SPACE, build_salib_problem
 from ..features.degenerate_features import is_degenerate
 from ..scores.metrics import mean_with_interval
@@ -51,10 +52,32 @@ def compute_sobol_indices(
         Columns `SOBOL_COLUMNS`. Samples with a missing radiograph and features with too few samples are omitted.
     """
     problem = build_salib_problem(bounds)
-    groups = list(dict.fromkeys(problem["groups"]))
-    values = np.full((samples * (len(groups) + 2), len(names)), np.nan)
+    values = np.full((samples * (len(dict.fromkeys(problem["groups"])) + 2), len(names)), np.nan)
     values[table["repeat_index"].to_numpy(np.int64) - 1] = table[names].to_numpy(np.float64)
-    blocks = values.reshape(samples, len(groups) + 2, len(names))
+    return analyse_sobol_design(problem, values, names, seed)
+
+
+def analyse_sobol_design(problem: dict[str, Any], values: Array, names: list[str], seed: int) -> pd.DataFrame:
+    """Compute the Sobol indices of every parameter group from the features at the points of a design.
+
+    Parameters
+    ----------
+    problem : dict of str to Any
+        Problem definition of SALib, with groups (`sensitivity_plan.build_salib_problem`).
+    values : (points, features) float array, any unit
+        Features at the points of the design, in the order of the design; NaN if a radiograph is missing.
+    names : list of str
+        Names of the features.
+    seed : int
+        Seed of the bootstrap.
+
+    Returns
+    -------
+    DataFrame
+        Columns `SOBOL_COLUMNS`, as in `compute_sobol_indices`.
+    """
+    groups = list(dict.fromkeys(problem["groups"]))
+    blocks = values.reshape(-1, len(groups) + 2, len(names))
     rows: list[dict[str, Any]] = []
     for index, name in enumerate(names):
         whole = blocks[np.isfinite(blocks[:, :, index]).all(axis=1), :, index]
