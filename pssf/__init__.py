@@ -23,6 +23,7 @@ radiomics   radiograph           -> region and features              (extra "stu
 study       features             -> models, statistics, report       (extra "study")
 standard_templates  radiographs of reference knees, with which joints are localised  (extra "study")
 experiment  run of a cohort and its study
+trial       virtual trial            -> errors of the joint space, and subjects per arm  (extra "study")
 benchmark   frozen data set with splits and baselines                (extra "study")
 quality     image quality of a protocol, compared with reference values
 calibration  images of a detector  -> detector and protocol with intervals

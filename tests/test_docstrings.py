@@ -22,6 +22,7 @@ COMMANDS += (
     "cli/features_command.py",
     "cli/predict_command.py",
     "cli/reader_command.py",
+    "cli/trial_command.py",
 )
 NOT_A_VERB = ("What", "Of", "Where", "How", "Whether", "Which", "Who", "The", "A", "An")
 PROPERTIES = {"property", "cached_property"}

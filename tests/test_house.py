@@ -75,6 +75,8 @@ ENTRY_POINTS = {
     "quality/quality_measurement.py": "measure_quality",
     "patient_comparison/comparison_run.py": "compare_with_patients",
     "study/prediction/film_prediction.py": "predict_films",
+    "trial/trial_design.py": "load_trial_design",
+    "trial/trial_run.py": "run_trial",
 }
 # Modules that evaluate formulas: their functions, except entry points, must call neither readers of tables nor entry
 # points. All other modules may call entry points.

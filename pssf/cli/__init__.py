@@ -2,6 +2,7 @@
 
 making_commands     simulate, meshes, cohort
 dataset_command     dataset
+trial_command       trial
 benchmark_command   benchmark
 study_command       study
 predict_command     predict
@@ -34,6 +35,7 @@ from .features_command import features
 from .predict_command import predict
 from .reader_command import landmarks, train_reader
 from .study_command import study
+from .trial_command import trial
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -64,9 +66,19 @@ _RENAMED_COMMANDS = {
     "realism": "compare-patients",
 }
 # Commands that are newer than the deprecated names, and use some of these names for options of their own.
-_COMMANDS_WITHOUT_RENAMES = ("dataset",)
+_COMMANDS_WITHOUT_RENAMES = ("dataset", "trial")
 _COMMANDS = (
-    *(making_commands.simulate, making_commands.meshes, benchmark, study, predict, features, landmarks, train_reader),
+    *(
+        making_commands.simulate,
+        making_commands.meshes,
+        benchmark,
+        study,
+        trial,
+        predict,
+        features,
+        landmarks,
+        train_reader,
+    ),
     *(
         measuring_commands.validate,
         measuring_commands.quality,
