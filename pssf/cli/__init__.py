@@ -2,7 +2,7 @@
 
 making_commands     simulate, meshes, cohort
 dataset_command     dataset
-trial_command       trial
+trial_command       trial, jsw-error
 benchmark_command   benchmark
 study_command       study
 predict_command     predict
@@ -35,7 +35,7 @@ from .features_command import features
 from .predict_command import predict
 from .reader_command import landmarks, train_reader
 from .study_command import study
-from .trial_command import trial
+from .trial_command import jsw_error, trial
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -66,7 +66,7 @@ _RENAMED_COMMANDS = {
     "realism": "compare-patients",
 }
 # Commands that are newer than the deprecated names, and use some of these names for options of their own.
-_COMMANDS_WITHOUT_RENAMES = ("dataset", "trial")
+_COMMANDS_WITHOUT_RENAMES = ("dataset", "trial", "jsw-error")
 _COMMANDS = (
     *(
         making_commands.simulate,
@@ -74,6 +74,7 @@ _COMMANDS = (
         benchmark,
         study,
         trial,
+        jsw_error,
         predict,
         features,
         landmarks,

@@ -1,11 +1,11 @@
-"""Command of virtual trials: trial."""
+"""Commands about the error of the joint space: trial, jsw-error."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from .shared_options import Out, Processes, Scheduler
+from .shared_options import KneeChoice, Out, Processes, Scheduler, Seed, make_knee, parse_numbers, split_names
 
 
 def trial(
@@ -62,28 +62,96 @@ def trial(
     settings = load_trial_design(
         design,
         subjects=subjects,
-        visits_months=None if visits is None else _parse_numbers("visits", visits),
-        views=None if views is None else _parse_names(views),
-        readers=None if readers is None else _parse_names(readers),
+        visits_months=None if visits is None else parse_numbers("visits", visits),
+        views=None if views is None else split_names(views),
+        readers=None if readers is None else split_names(readers),
         seed=seed,
     )
-    causes = _parse_names(without)
+    causes = split_names(without) if without else ()
     total = count_subject_jobs(settings, causes)
     with Execution(progress_bar=show_progress_bar).stage("subjects", "subjects", total) as stage:
         page = make_trial(settings, out, without=causes, workers=workers, scheduler=scheduler, progress=stage.advance)
     print(f"report    {page}")
 
 
-def _parse_names(text: str) -> tuple[str, ...]:
-    """Split names at commas; an empty text gives no names."""
-    return tuple(part.strip() for part in text.split(",")) if text else ()
+def jsw_error(
+    knee: Annotated[
+        Path | None, typer.Argument(help="TOML file with the parameters of a knee; without it, knees are sampled.")
+    ] = None,
+    *,
+    out: Out,
+    workers: Processes,
+    knees: Annotated[int, typer.Option(help="Number of sampled knees, with the grades in turn.")] = 8,
+    grades: Annotated[str, typer.Option(help="KL grades of sampled knees, separated by commas.")] = "2,3",
+    seed: Seed = 0,
+    view: Annotated[str, typer.Option(help="Name or TOML file of a frontal protocol.")] = "fixed_flexion",
+    angles: Annotated[str, typer.Option(help="Beam angles in degrees, as first:last:step.")] = "0:20:2",
+    rotation: Annotated[str, typer.Option(help="Rotations of the leg in degrees, as first:last:step.")] = "",
+    flexion: Annotated[str, typer.Option(help="Flexions in degrees, as first:last:step.")] = "",
+    distance: Annotated[str, typer.Option(help="Distances from source to joint in mm, as first:last:step.")] = "",
+    centre_x: Annotated[str, typer.Option(help="Lateral shifts of the leg in mm, as first:last:step.")] = "",
+    centre_z: Annotated[str, typer.Option(help="Vertical shifts of the leg in mm, as first:last:step.")] = "",
+) -> None:
+    """Map the error of the medial joint space against beam angle and positioning.
+
+    The error is the difference from the joint space with the beam along the medial plateau. By default, the second axis
+    is the rotation of the leg. The command writes jsw_errors.csv, jsw_error_summary.csv and the map jsw_errors.png.
+    """
+    from ..study import require_extra
+
+    require_extra()
+    from ..core.checks import InputError, require_integer
+    from ..core.progress_display import show_status
+    from ..io.atomic_write import make_folder, write_bytes
+    from ..io.study_results import save_table
+    from ..model.protocol import load_protocol
+    from ..trial.jsw_error import ErrorGrid, measure_jsw_errors
+    from ..trial.jsw_error_figure import draw_jsw_errors
+
+    axes = {
+        "rotation": rotation, "flexion": flexion, "distance": distance, "centre_x": centre_x, "centre_z": centre_z,
+    }  # fmt: skip
+    given = {name: text for name, text in axes.items() if text} or {"rotation": "-10:10:5"}
+    if len(given) > 1:
+        raise InputError(f"options must include one axis besides the angles, got {', '.join(given)}")
+    ((axis, text),) = given.items()
+    grid = ErrorGrid(angles_deg=_parse_range("angles", angles), axis=axis, values=_parse_range(axis, text))
+    require_integer("knees", knees, 1, 10_000, "")
+    listed = [int(grade) for grade in parse_numbers("grades", grades)]
+    choices = (
+        [KneeChoice(path=knee, grade=0, seed=0)]
+        if knee is not None
+        else [KneeChoice(path=None, grade=listed[turn % len(listed)], seed=seed + turn) for turn in range(knees)]
+    )
+    with show_status("measuring"):
+        errors, summary = measure_jsw_errors(
+            [make_knee(choice)[0] for choice in choices], load_protocol(view), grid, workers=workers
+        )
+    folder = make_folder(out)
+    save_table(folder / "jsw_errors.csv", errors)
+    save_table(folder / "jsw_error_summary.csv", summary)
+    write_bytes(folder / "jsw_errors.png", draw_jsw_errors(errors, summary))
+    for row in summary.to_dict("records"):
+        print(
+            f"knee {row['knee']:<4} best angle {row['best_angle_deg']:5.1f} degrees, error at the angle of the view "
+            f"{row['nominal_error_mm']:+.2f} mm, within 2 degrees of the best angle {row['within_2_mm']:.2f} mm"
+        )
+    print(f"map       {folder / 'jsw_errors.png'}")
 
 
-def _parse_numbers(label: str, text: str) -> tuple[float, ...]:
-    """Split numbers at commas."""
+# Largest number of values of an axis.
+_MOST_VALUES = 200
+
+
+def _parse_range(label: str, text: str) -> tuple[float, ...]:
+    """Parse a range of numbers, first:last:step, with the last number included."""
     from ..core.checks import InputError
 
     try:
-        return tuple(float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError(f"{label} must be numbers separated by commas, such as 0,12,24, got {text!r}") from None
+        first, last, step = map(float, text.split(":"))
+        count = int((last - first) / step + 1e-9) + 1
+    except (ValueError, ZeroDivisionError, OverflowError):
+        raise InputError(f"{label} must be first:last:step, such as -5:15:1, got {text!r}") from None
+    if not 1 <= count <= _MOST_VALUES:
+        raise InputError(f"{label} must be 1 to {_MOST_VALUES} values, first:last:step, got {text!r}")
+    return tuple(round(first + step * turn, 6) for turn in range(count))

@@ -11,6 +11,8 @@ trial_run          resumable run over all subjects
 trial_statistics   errors, responsiveness, subjects per arm, causes and alignment
 trial_power        check of the planned power by many trials
 trial_report       report
+jsw_error          error of the joint space against beam angle and positioning
+jsw_error_figure   map of this error
 """
 
 from .trial_design import load_trial_design
