@@ -27,8 +27,11 @@ from .trial_measurement import Row, measure_subject, resolve_displays
 DESIGN_FILE = "trial.json"
 RADIOGRAPHS_FILE = "radiographs.csv"
 _RECORDS = "subjects"
-# Further code that affects the measurements.
-_OWN_CODE_PATHS = ("trial", "reader", "texture", "data/progress.toml", "data/knees/progression_table.py", "data/reader")
+# Further code that affects the measurements. Statistics and report are made anew by every run.
+_OWN_CODE_PATHS = (
+    *("trial/trial_design.py", "trial/trial_plan.py", "trial/trial_measurement.py"),
+    *("reader", "texture", "data/progress.toml", "data/knees/progression_table.py", "data/reader"),
+)
 
 
 @dataclass(frozen=True, kw_only=True)
