@@ -14,11 +14,12 @@ from pssf.validation.study_methods import texture_ranking, texture_structure
 
 def test_equal_measurements_agree_and_shifted_ones_do_not():
     values = np.random.default_rng(1).normal(2.5, 0.1, 200)
-    same = conditions._compare_pairs(np.stack((values, values), axis=1))
+    weights = sample_knee_weights(np.arange(200), replicates=500, seed=0)
+    same = conditions._compare_pairs(np.stack((values, values), axis=1), weights)
     assert same == pytest.approx(
         {"r": 1.0, "icc": 1.0, "icc_low": 1.0, "icc_high": 1.0, "shift_sd": 0.0, "cv_percent": 0.0}
     )
-    shifted = conditions._compare_pairs(np.stack((values, values + 0.2), axis=1))
+    shifted = conditions._compare_pairs(np.stack((values, values + 0.2), axis=1), weights)
     spread = values.std(ddof=1)
     assert shifted["r"] == pytest.approx(1.0)
     assert shifted["shift_sd"] == pytest.approx(0.2 / spread)

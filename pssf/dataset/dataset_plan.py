@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.random_streams import make_stream
 from ..model.knee import Knee
 from ..model.progression import progress, true_change
 from ..model.protocol import Protocol
@@ -174,16 +175,16 @@ def plan_subject(
     """
     grade = _sample_grade(settings, tables, subject)
     if attempt:
-        settings = replace(settings, seed=int(_stream(settings.seed, attempt, _ATTEMPT).integers(2**63)))
-    shared = sample_shared_fields(tables.distributions, grade=grade, rng=_stream(settings.seed, subject, _BODY))
-    rng = _stream(settings.seed, subject, _KNEE)
+        settings = replace(settings, seed=int(make_stream(settings.seed, attempt, _ATTEMPT).integers(2**63)))
+    shared = sample_shared_fields(tables.distributions, grade=grade, rng=make_stream(settings.seed, subject, _BODY))
+    rng = make_stream(settings.seed, subject, _KNEE)
     sides = ["right", "left"]
     if settings.knees_per_subject == 1 and rng.integers(2):
         sides.reverse()
     images_both = any(protocol.knee_distance_mm for protocol in tables.protocols)
     knees = [
         sample_knee_from_distributions(
-            tables.distributions, grade=grade, rng=_stream(settings.seed, subject, _KNEE, turn), **shared, side=side
+            tables.distributions, grade=grade, rng=make_stream(settings.seed, subject, _KNEE, turn), **shared, side=side
         )
         for turn, side in enumerate(sides if images_both else sides[: settings.knees_per_subject])
     ]
@@ -239,7 +240,7 @@ def _choose_protocol(
     settings: DatasetSettings, tables: DatasetTables, at: tuple[int, int]
 ) -> tuple[Protocol, np.random.Generator]:
     """Choose the protocol of a knee at random; also return the generator for the difference between its two images."""
-    chance = _stream(settings.seed, *at, _PAIR)
+    chance = make_stream(settings.seed, *at, _PAIR)
     return tables.protocols[int(chance.integers(len(tables.protocols)))], chance
 
 
@@ -261,10 +262,10 @@ def _plan_image(
     # Both knees of a bilateral radiograph have the same acquisition and noise.
     exposed, noise = ((place[0], 0, place[2]), (at[0], 0, at[2])) if nominal.knee_distance_mm else (place, at)
     if settings.equipment == "sampled":
-        nominal = _sample_equipment(nominal, tables, _stream(settings.seed, *exposed, _EQUIPMENT))
+        nominal = _sample_equipment(nominal, tables, make_stream(settings.seed, *exposed, _EQUIPMENT))
     if settings.acquisition == "sampled":
         side = None if nominal.knee_distance_mm else knee.side
-        nominal = sample_acquisition(nominal, rng=_stream(settings.seed, *exposed, _ACQUISITION), side=side)
+        nominal = sample_acquisition(nominal, rng=make_stream(settings.seed, *exposed, _ACQUISITION), side=side)
     return PlannedImage(
         name=_make_name(settings.seed, "image", *at),
         subject=_make_name(settings.seed, "subject", at[0]),
@@ -291,9 +292,9 @@ def _sample_grade(settings: DatasetSettings, tables: DatasetTables, subject: int
     grades = tables.distributions.grades.grades
     if settings.grades == "balanced":
         block, place = divmod(subject, len(grades))
-        return int(_stream(settings.seed, block, _GRADES).permutation(grades)[place])
+        return int(make_stream(settings.seed, block, _GRADES).permutation(grades)[place])
     weights = np.array([tables.definitions.grades.prevalence[grade] for grade in grades])
-    return int(_stream(settings.seed, subject, _GRADES).choice(grades, p=weights / weights.sum()))
+    return int(make_stream(settings.seed, subject, _GRADES).choice(grades, p=weights / weights.sum()))
 
 
 def _assign_subjects(settings: DatasetSettings) -> dict[str, tuple[int, int]]:
@@ -313,14 +314,9 @@ def _count_subjects_per_part(settings: DatasetSettings) -> int:
 
 def _sample_seed(settings: DatasetSettings, *key: int) -> int:
     """Sample a seed that every reader of JSON represents exactly, because it is below 2**53."""
-    return int(_stream(settings.seed, *key).integers(2**53))
+    return int(make_stream(settings.seed, *key).integers(2**53))
 
 
 def _make_name(seed: int, kind: str, *numbers: int) -> str:
     """Make a name from a hash, so that neither order nor grade can be inferred from it."""
     return blake2b(f"{seed}:{kind}:{numbers}".encode(), digest_size=8).hexdigest()
-
-
-def _stream(seed: int, *key: int) -> np.random.Generator:
-    """Return the random generator with a key."""
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

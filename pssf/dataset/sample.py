@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..anatomy import BuiltKnee, BuiltPair, build, build_pair
+from ..core.random_streams import make_stream
 from ..data.imaging.display_table import FlatPanelProcessing
 from ..detector.display_rendering import render_for_display
 from ..image_faults import ImageNotice
@@ -148,24 +149,6 @@ def _simulate_built(
             warnings.simplefilter("always", category)
         radiograph = simulate(built, protocol, rng=seed, keep=keep, engine=engine, workers=1)
     return radiograph, [str(notice.message) for notice in notices]
-
-
-def make_stream(seed: int, *key: int) -> np.random.Generator:
-    """Return the random generator for a seed and a key.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the image.
-    *key : int
-        Key of the stream.
-
-    Returns
-    -------
-    numpy.random.Generator
-        Generator.
-    """
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))
 
 
 def _collect_labels(

@@ -3,11 +3,12 @@
 from dataclasses import replace
 
 from ..core.checks import InputError
+from ..core.random_streams import make_stream
 from .dataset_plan import PlannedImage, plan_subject
 from .dataset_settings import DatasetSettings
 from .dataset_tables import DatasetTables
 from .randomisation import randomise
-from .sample import RANDOMISE_KEY, Sample, make_sample, make_stream
+from .sample import RANDOMISE_KEY, Sample, make_sample
 
 # Maximum number of attempts to sample buildable knees of a subject. All of 2,000 sampled knees could be built (table
 # `builds`), so a second attempt is rare.

@@ -21,8 +21,6 @@ AXES = {
     "centre_x": "centre_x_mm",
     "centre_z": "centre_z_mm",
 }
-# Fields that change the pose of the leg, so that the knee is posed again.
-_POSE_FIELDS = ("rotation_deg", "flexion_deg")
 # Error of the joint space that a map shows as a line, in mm: within the standard errors of repeated radiographs in the
 # metatarsophalangeal view (0.08 to 0.16 mm; from memory).
 ISO_LINE_MM = 0.13
@@ -115,9 +113,8 @@ def _measure_knee(
     rows: list[dict[str, Any]] = []
     label = {"knee": number, "grade": knee.grade}
     for value in grid.values:
-        name = AXES[grid.axis]
-        moved = replace(view, **dict[str, Any]({name: value}))
-        of_value = build(knee, moved) if name in _POSE_FIELDS else posed
+        moved = replace(view, **dict[str, Any]({AXES[grid.axis]: value}))
+        of_value = posed if moved.posture == view.posture else build(knee, moved)
         for angle in grid.angles_deg:
             medial = _measure_medial_mm(of_value, replace(moved, beam_angle_deg=angle))
             row = {"axis": grid.axis, "beam_angle_deg": angle, "value": value}

@@ -54,12 +54,12 @@ def make_trial(
     WorkersLostError
         If workers are killed repeatedly.
     """
-    data = run_trial(design, folder, without=without, workers=workers, scheduler=scheduler, progress=progress)
-    measures = summarise_measures(data.radiographs, design)
+    radiographs = run_trial(design, folder, without=without, workers=workers, scheduler=scheduler, progress=progress)
+    measures = summarise_measures(radiographs, design)
     tables = {
         "measures": measures,
-        "causes": decompose_errors(data.radiographs, design),
-        "alignment": summarise_alignment(data.radiographs, design),
+        "causes": decompose_errors(radiographs, design),
+        "alignment": summarise_alignment(radiographs, design),
         "planned_power": check_power(design, measures, workers=workers or 1),
     }
     for name, table in tables.items():

@@ -2,7 +2,6 @@
 
 import warnings
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -10,6 +9,7 @@ from msgspec import structs
 
 from ..anatomy import BuiltKnee, build
 from ..core.checks import InputError
+from ..core.random_streams import make_stream
 from ..data.analysis.trial_table import TrialDesign
 from ..data.imaging.display_table import DisplayProcessing, FlatPanelProcessing
 from ..data.knees.oarsi_table import OarsiThresholds
@@ -29,15 +29,15 @@ from ..texture import (
     measure_texture_features,
     mirror_texture_features,
 )
-from .trial_design import CAUSES
-from .trial_plan import PlannedRadiograph, make_stream, plan_radiographs, plan_subject
+from .trial_plan import PlannedRadiograph, plan_radiographs, plan_subject
 
 # Fraction of the femoral width at which the fixed joint space is measured (Neumann et al. 2009).
 FIXED_AT = 0.225
 # Fractions whose mean is the mean medial joint space, which is proportional to the joint space area.
 _AREA_AT = (0.15, 0.175, 0.2, 0.225, 0.25, 0.275, 0.3)
 # Measures of every reader: minimum joint spaces, JSW(x), mean medial joint space, and OARSI grade of narrowing.
-MEASURES = ("medial_mm", "lateral_mm", "fixed_mm", "mean_mm", "narrowing")
+_SPACES = ("medial_mm", "lateral_mm", "fixed_mm", "mean_mm")
+MEASURES = (*_SPACES, "narrowing")
 TEXTURES = ("vot_MeanDimension", "fsa_HorizontalDimension", "fsa_VerticalDimension")
 _TEXTURE_REGION = "medial_subchondral"
 # Stream of the display processing of a site.
@@ -89,7 +89,7 @@ def measure_subject(
     for attempt in range(_ATTEMPTS):
         try:
             # Another seed gives another subject; the attempt of almost all subjects is 0.
-            tried = replace_seed(design, attempt)
+            tried = _replace_seed(design, attempt)
             subject = plan_subject(tried, distributions, number)
             planned = plan_radiographs(tried, views, subject, without=without)
             return [
@@ -106,24 +106,10 @@ def measure_subject(
     raise AssertionError("unreachable")
 
 
-def replace_seed(design: TrialDesign, attempt: int) -> TrialDesign:
-    """Return a design with the seed of another attempt.
-
-    Parameters
-    ----------
-    design : TrialDesign
-        Design of the trial.
-    attempt : int
-        Number of the attempt; 0 returns the design itself.
-
-    Returns
-    -------
-    TrialDesign
-        Design with another seed.
-    """
+def _replace_seed(design: TrialDesign, attempt: int) -> TrialDesign:
+    """Return a design with the seed of another attempt; attempt 0 returns the design itself."""
     if not attempt:
         return design
-
     return structs.replace(design, seed=int(make_stream(design.seed, _DISPLAY + attempt).integers(2**63)))
 
 
@@ -161,9 +147,8 @@ def _measure_in_turn(
     rows, last = list[Row](), None
     reader = load_reader() if "network" in design.readers else None
     built: BuiltKnee | None = None
-    simulate_once = lru_cache(maxsize=1)(_simulate)
     for one in planned:
-        pose = (one.knee, *(getattr(one.protocol, name) for name in (*CAUSES["rotation"], *CAUSES["flexion"])))
+        pose = (one.knee, one.protocol.posture)
         if built is None or pose != last:
             built, last = build(one.knee, one.protocol), pose
         protocol = move_clear_of_detector(built.scene, built.aim_beam(one.protocol))
@@ -175,7 +160,7 @@ def _measure_in_turn(
         if "human" in design.readers:
             row |= _name_measures("human", _read_as_human(exact, design, one.reading_key), one.knee, cuts)
         if reader is not None or design.texture:
-            radiograph = simulate_once(built, protocol, one.noise_seed)
+            radiograph = _simulate(built, protocol, one.noise_seed)
             processing = "processed" if one.labels["without"] == "display" else display
             shown = render_for_display(radiograph, bits=16, processing=processing)
             if reader is not None:
@@ -202,12 +187,13 @@ def _read_labels(truth: Truth, magnification: float) -> dict[str, float]:
     """Return the projected joint spaces of a radiograph, at the nominal magnification of the view."""
     assert truth.jsw_medial_mm is not None
     assert truth.jsw_lateral_mm is not None
-    return {
-        "medial_mm": magnification * truth.jsw_medial_mm,
-        "lateral_mm": magnification * truth.jsw_lateral_mm,
-        "fixed_mm": magnification * truth.jsw_at_mm[FIXED_AT],
-        "mean_mm": magnification * float(np.mean([truth.jsw_at_mm[at] for at in _AREA_AT])),
-    }
+    return _collect_spaces(truth.jsw_medial_mm, truth.jsw_lateral_mm, truth.jsw_at_mm, magnification)
+
+
+def _collect_spaces(medial: float, lateral: float, at: Mapping[float, float], factor: float) -> dict[str, float]:
+    """Collect the joint spaces of a radiograph: minima, JSW(x) and mean medial JSW, multiplied by a factor."""
+    spaces = (medial, lateral, at[FIXED_AT], float(np.mean([at[place] for place in _AREA_AT])))
+    return {name: factor * value for name, value in zip(_SPACES, spaces, strict=True)}
 
 
 def _read_as_human(exact: Mapping[str, float], design: TrialDesign, key: tuple[int, ...]) -> dict[str, float]:
@@ -238,16 +224,10 @@ def _read_by_network(shown: Any, nominal: Protocol, side: str, reader: Reader) -
     """Read the joint spaces by the networks, at the nominal magnification; NaN if no knee of the side was read."""
     knees = [knee for knee in read_knees(np.asarray(shown, np.float32), None, reader) if knee.side == side]
     if not knees or knees[0].refusal:
-        return dict.fromkeys(("medial_mm", "lateral_mm", "fixed_mm", "mean_mm"), float("nan"))
+        return dict.fromkeys(_SPACES, float("nan"))
     measures = knees[0].measures
     width_mm = measures.plateau_width_px * nominal.pixel_mm * nominal.sod_mm / nominal.sdd_mm
-    at = measures.jsw_at_share
-    return {
-        "medial_mm": width_mm * measures.medial_jsw_share,
-        "lateral_mm": width_mm * measures.lateral_jsw_share,
-        "fixed_mm": width_mm * at[FIXED_AT],
-        "mean_mm": width_mm * float(np.mean([at[place] for place in _AREA_AT])),
-    }
+    return _collect_spaces(measures.medial_jsw_share, measures.lateral_jsw_share, measures.jsw_at_share, width_mm)
 
 
 def _measure_texture(radiograph: Radiograph, side: str, shown: Any) -> Row:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..core.checks import InputError
+from ..core.random_streams import make_stream
 from ..data.analysis.trial_table import Site, Treatment, TrialDesign
 from ..model.knee import Knee
 from ..model.progression import progress
@@ -270,21 +271,3 @@ def _sample_protocol(
     if site.detector:
         changed["detector"] = site.detector
     return replace(drawn, **changed)
-
-
-def make_stream(seed: int, *key: int) -> np.random.Generator:
-    """Return the random generator for a seed and a key.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of the trial.
-    *key : int
-        Key of the stream.
-
-    Returns
-    -------
-    numpy.random.Generator
-        Generator.
-    """
-    return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=key))

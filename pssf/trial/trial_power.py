@@ -4,18 +4,19 @@ The trials consist of knees of the population with their true course. The joint 
 with the measurement error of a view and reader. No radiograph is simulated.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from msgspec import structs
 from scipy import stats
 
 from ..core.checks import Array
 from ..core.processes.parallel_map import map_in_parallel
+from ..core.random_streams import make_stream
 from ..data.analysis.trial_table import TrialDesign
 from ..model.sampling.knee_sampling import KneeDistributions, load_knee_distributions
-from .trial_plan import find_knee_at, make_stream, plan_subject, slow_narrowing
+from .trial_plan import find_knee_at, plan_subject, slow_narrowing
 from .trial_statistics import LEVEL, compute_subjects_per_arm
 
 TRIALS = 200
@@ -115,10 +116,9 @@ def compute_changes(
     tuple of float
         Change without and with the treatment, in mm.
     """
-    natural_design = structs.replace(design, treatment=structs.replace(design.treatment, treated=0.0))
-    subject = plan_subject(natural_design, distributions, number)
+    subject = replace(plan_subject(design, distributions, number), treated=False)
     first = subject.knees[0]
-    later = find_knee_at(subject, 0, design.visits_months[-1], natural_design)
+    later = find_knee_at(subject, 0, design.visits_months[-1], design)
     treated = slow_narrowing(first, later, design.treatment)
     before = getattr(first, name)
     return getattr(later, name) - before, getattr(treated, name) - before

@@ -1,7 +1,7 @@
 """Run a virtual trial: simulate the missing subjects, and write the table of all radiographs."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -34,22 +34,6 @@ _OWN_CODE_PATHS = (
 )
 
 
-@dataclass(frozen=True, kw_only=True)
-class TrialData:
-    """Measurements of a trial.
-
-    Attributes
-    ----------
-    design : TrialDesign
-        Design of the trial.
-    radiographs : DataFrame
-        One row per radiograph; see ``radiographs.csv`` in the reference of files.
-    """
-
-    design: TrialDesign
-    radiographs: pd.DataFrame
-
-
 def run_trial(
     design: TrialDesign,
     folder: str | Path,
@@ -58,7 +42,7 @@ def run_trial(
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[int], None] = lambda done: None,
-) -> TrialData:
+) -> pd.DataFrame:
     """Simulate and measure the missing subjects of a trial.
 
     The same design, code and library versions give byte-identical files for any number of workers. Every subject has
@@ -82,8 +66,8 @@ def run_trial(
 
     Returns
     -------
-    TrialData
-        Design and measurements.
+    DataFrame
+        One row per radiograph; see ``radiographs.csv`` in the reference of files.
 
     Raises
     ------
@@ -97,8 +81,6 @@ def run_trial(
     require_workers(workers, "processes")
     if scheduler is not None:
         require_scheduler(scheduler)
-    for cause in without:
-        require_choice("without", cause, tuple(CAUSES))
     folder, views = Path(folder), load_views(design)
     versions = {**collect_versions(), **find_file_library_versions()}
     code = compute_code_hashes((*CODE_PATHS, *_OWN_CODE_PATHS, *list_pixel_data_files()))
@@ -108,13 +90,13 @@ def run_trial(
         "versions": versions,
         "code": code,
     }
-    claim = claim_folder(folder / DESIGN_FILE, specified)
+    jobs, claim = _list_jobs(design, without), claim_folder(folder / DESIGN_FILE, specified)
     delete_stale_temporary_files(make_folder(folder / _RECORDS))
     site = RunEnvironment(
         folder=folder.absolute(), claim=DESIGN_FILE, claim_sha256=claim, versions=versions, code_hashes=code
     )
-    jobs = _list_jobs(design, without)
-    missing = [job for job in jobs if _read_record(folder, job, claim) is None]
+    records = {job: _read_record(folder, job, claim) for job in jobs}
+    missing = [job for job, rows in records.items() if rows is None]
     for _ in range(len(jobs) - len(missing)):
         progress(1)
     shared = {
@@ -129,10 +111,10 @@ def run_trial(
         measure_and_save, missing, shared=shared, workers=workers, scheduler=scheduler,
         on_result=lambda index, done: progress(1),
     )  # fmt: skip
-    rows = [row for job in jobs for row in _read_record(folder, job, claim) or []]
-    table = pd.DataFrame(rows)
+    records |= {job: _read_record(folder, job, claim) for job in missing}
+    table = pd.DataFrame([row for rows in records.values() for row in rows or ()])
     save_table(folder / RADIOGRAPHS_FILE, table)
-    return TrialData(design=design, radiographs=table)
+    return table
 
 
 def load_views(design: TrialDesign) -> dict[str, Protocol]:
@@ -175,7 +157,12 @@ _Job = tuple[int, str]
 
 
 def _list_jobs(design: TrialDesign, without: Sequence[str]) -> list[_Job]:
-    """List the subjects of the trial, and those that are simulated again without each cause."""
+    """List the subjects of the trial, and those that are simulated again without each cause.
+
+    An unknown cause raises InputError.
+    """
+    for cause in without:
+        require_choice("without", cause, tuple(CAUSES))
     causes = [cause for cause in without if cause not in IMAGE_CAUSES or "network" in design.readers]
     again = range(min(design.cause_subjects, design.subjects))
     return [(number, "") for number in range(design.subjects)] + [

@@ -19,11 +19,12 @@ from tools.reader_ablation import measure_films, take_images
 import pssf
 from pssf.core.label_names import CONTOUR_LANDMARKS
 from pssf.core.processes.parallel_map import map_in_parallel
+from pssf.core.random_streams import make_stream
 from pssf.data.imaging.display_table import FlatPanelProcessing
 from pssf.dataset.dataset_plan import PlannedImage, plan_subject
 from pssf.dataset.dataset_settings import DatasetSettings
 from pssf.dataset.dataset_tables import DatasetTables, load_dataset_tables
-from pssf.dataset.sample import DISPLAY_KEY, make_stream
+from pssf.dataset.sample import DISPLAY_KEY
 from pssf.io.atomic_write import make_folder
 from pssf.io.cohort_records import write_csv
 from pssf.io.patients.landmark_annotations import read_landmark_annotations

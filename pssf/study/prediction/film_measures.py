@@ -20,7 +20,7 @@ from ...core.processes.worker_processes import limit_to_one_blas_thread
 from ...radiomics.features.feature_families import FAMILIES, feature_family, split_area
 from ...radiomics.features.feature_table import JSW_COLUMNS
 from ..statistics.scores.metrics import percentile_interval, weighted_auc
-from ..statistics.scores.subject_resampling import sample_bootstrap_counts, worst_grades
+from ..statistics.scores.subject_resampling import sample_row_counts
 
 # Grades of patients that are compared with grade 0.
 _GRADES = (2, 3, 4)
@@ -81,7 +81,7 @@ def _score_grade(
     rows: list[dict[str, Any]] = []
     if not 0 < truth.sum() < len(truth):
         return rows
-    counts = _sample_counts(of_films, replicates, seed)
+    counts = sample_row_counts(of_films, replicates=replicates, seed=seed, stream=_STREAM)
     for label, group in _group_measures(names, films).items():
         for trained_on, value in _predict(of_cohort, of_films, group, grade, seed).items():
             drawn = weighted_auc(truth, value, counts)
@@ -94,13 +94,6 @@ def _score_grade(
                 }
             )  # fmt: skip
     return rows
-
-
-def _sample_counts(films: pd.DataFrame, replicates: int, seed: int) -> Array:
-    """Sample how often each radiograph occurs in each bootstrap sample, (radiographs, 1 + replicates); first all 1."""
-    worst = worst_grades(films["subject"].tolist(), films["grade"].astype(int).tolist())
-    counts = sample_bootstrap_counts(worst, replicates=replicates, seed=seed, stream=_STREAM)
-    return np.asarray(counts[worst.index.get_indexer(films["subject"])])
 
 
 def _group_measures(names: Sequence[str], films: pd.DataFrame) -> dict[str, list[str]]:

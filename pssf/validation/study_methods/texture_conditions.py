@@ -65,13 +65,14 @@ def measure_texture_conditions(knees: int, workers: int = 1) -> list[Row]:
         deviation between knees ``shift_sd``, and coefficient of variation of two measurements ``cv_percent``.
     """
     measured = measure_knees(knees, workers)
+    weights = sample_knee_weights(np.arange(knees), replicates=RESAMPLES, seed=0)
     rows: list[Row] = []
     for condition in measured[0]:
         if condition == "reference":
             continue
         for feature in measured[0]["reference"]:
             pairs = np.array([[values[name][feature] for name in ("reference", condition)] for values in measured])
-            rows.append({"condition": condition, "feature": feature, "knees": knees, **_compare_pairs(pairs)})
+            rows.append({"condition": condition, "feature": feature, "knees": knees, **_compare_pairs(pairs, weights)})
     return rows
 
 
@@ -268,11 +269,11 @@ def _describe_knee(knee: Knee) -> dict[str, float]:
     return {name: float(getattr(knee, name)) for name in BONE_PROPERTIES}
 
 
-def _compare_pairs(pairs: Array) -> Mapping[str, float]:
-    """Compare two measurements of each knee, (knees, 2)."""
+def _compare_pairs(pairs: Array, weights: Array) -> Mapping[str, float]:
+    """Compare two measurements of each knee, (knees, 2); `weights` (samples, knees) are those of a bootstrap."""
     change = pairs[:, 1] - pairs[:, 0]
     agreement = icc(pairs)[0]
-    drawn = compute_weighted_icc(pairs, sample_knee_weights(np.arange(len(pairs)), replicates=RESAMPLES, seed=0))[0]
+    drawn = compute_weighted_icc(pairs, weights)[0]
     low, high = compute_icc_interval(agreement, drawn, conditions=2, subjects=len(pairs))
     return {
         "r": float(np.corrcoef(pairs[:, 0], pairs[:, 1])[0, 1]),

@@ -12,7 +12,7 @@ from .metrics import (
     weighted_kappa,
     weighted_scores,
 )
-from .subject_resampling import sample_bootstrap_counts, worst_grades
+from .subject_resampling import sample_row_counts
 
 # Two-class tasks: name -> grades of patient radiographs without and with osteoarthritis.
 CONTRASTS = {name: classes for name, classes in TASKS.items() if len(classes) == 2}
@@ -75,7 +75,9 @@ def _score_contrast(predictions: pd.DataFrame, truth: np.ndarray, replicates: in
     """Compute all metrics and intervals of one model for one contrast."""
     p = predictions["p"].to_numpy(np.float64)
     values = weighted_scores(
-        truth, np.stack([1 - p, p], axis=1), _sample_bootstrap_counts(predictions, replicates, seed)
+        truth,
+        np.stack([1 - p, p], axis=1),
+        sample_row_counts(predictions, replicates=replicates, seed=seed, stream=_STREAM),
     )
     enough = all(predictions["subject"][truth == side].nunique() >= _LEAST_SUBJECTS for side in (0, 1))
     return _make_interval_row(values, dict.fromkeys(METRICS, enough))
@@ -118,19 +120,12 @@ def _score_multiclass(predictions: pd.DataFrame, classes: Classes, replicates: i
     """Compute all metrics and intervals of one multiclass model."""
     truth = find_class_indices(predictions["grade"].to_numpy(np.int64), classes)
     probability = predictions[[f"p{place}" for place in range(len(classes))]].to_numpy(np.float64)
-    weights = _sample_bootstrap_counts(predictions, replicates, seed)
+    weights = sample_row_counts(predictions, replicates=replicates, seed=seed, stream=_STREAM)
     values = {KAPPA: weighted_kappa(truth, probability, weights)} | weighted_scores(truth, probability, weights)
     subjects = predictions["subject"].groupby(truth).nunique()
     enough = bool((subjects >= _LEAST_SUBJECTS).all())
     all_there = enough and len(subjects) == len(classes)
     return _make_interval_row(values, {KAPPA: enough} | dict.fromkeys(METRICS, all_there))
-
-
-def _sample_bootstrap_counts(predictions: pd.DataFrame, replicates: int, seed: int) -> Array:
-    """Sample how often each radiograph occurs in each bootstrap sample, as a (radiographs, 1 + replicates) array."""
-    worst = worst_grades(predictions["subject"], predictions["grade"])
-    weights = sample_bootstrap_counts(worst, replicates=replicates, seed=seed, stream=_STREAM)
-    return np.asarray(weights[worst.index.get_indexer(predictions["subject"])])
 
 
 def _make_interval_row(values: dict[str, Array], enough: dict[str, bool]) -> dict[str, float]:

@@ -52,3 +52,27 @@ def sample_bootstrap_counts(worst: pd.Series, *, replicates: int, seed: int, str
         members = np.flatnonzero(worst == grade)
         weights[members, 1:] = rng.multinomial(len(members), np.full(len(members), 1 / len(members)), replicates).T
     return weights
+
+
+def sample_row_counts(predictions: pd.DataFrame, *, replicates: int, seed: int, stream: int) -> Array:
+    """Sample how often each radiograph occurs in each bootstrap sample of the subjects, stratified by grade.
+
+    Parameters
+    ----------
+    predictions : DataFrame
+        One row per radiograph: subject, grade.
+    replicates : int
+        Number of bootstrap samples.
+    seed : int
+        Seed of the study.
+    stream : int
+        Key of the random stream, combined with the seed.
+
+    Returns
+    -------
+    (radiographs, 1 + replicates) float array
+        Number of times that each radiograph occurs in each sample; the first column is 1 for all radiographs.
+    """
+    worst = worst_grades(predictions["subject"], predictions["grade"])
+    weights = sample_bootstrap_counts(worst, replicates=replicates, seed=seed, stream=stream)
+    return np.asarray(weights[worst.index.get_indexer(predictions["subject"])])
