@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from conftest import build_once
 from numpy.testing import assert_allclose
 
 import pssf
@@ -161,3 +162,18 @@ def test_edge_landmarks_are_points_where_oblique_lines_touch_the_bones(built, la
             ((row, col),) = rotate_px(np.array([landmarks[f"{bone}_{side}_edge"]]), view, -lean)
             steep, flat = up * np.cos(angle), out * np.sin(angle)
             assert_allclose(steep * row + flat * col, (steep * rows + flat * cols).max(), atol=1e-6)
+
+
+def test_the_tibial_edge_and_jsw_do_not_jump_when_the_beam_angle_changes():
+    """Check a knee with medial osteophytes in a view in which the anterior rim of the plateau is above its edge."""
+    knee = pssf.sample_knee(grade=2, rng=1, grade_table="population")
+    protocol = pssf.load_protocol("ap_standing")
+    built = build_once(knee, protocol)
+    spaces, edges = [], []
+    for change_deg in np.arange(-3.0, 3.5, 0.5):
+        tilted = built.aim_beam(dataclasses.replace(protocol, beam_angle_deg=protocol.beam_angle_deg + change_deg))
+        truth = built.truth(tilted)
+        spaces.append(truth.jsw_medial_mm)
+        edges.append(np.array(truth.landmarks_px["tibia_medial_edge"]) * protocol.pixel_mm)
+    assert np.abs(np.diff(spaces)).max() < 0.1
+    assert np.abs(np.diff(edges, axis=0)).max() < 0.4

@@ -28,6 +28,25 @@ if __name__ == "__main__":
     map_in_parallel(work, [1, 2], shared={}, workers=2)
 """
 
+UNPICKLABLE = """
+import time
+from pssf.core.processes.parallel_map import map_in_parallel
+
+class Item:
+    def __init__(self, delay_s):
+        self.delay_s = delay_s
+
+    def __reduce__(self):
+        time.sleep(self.delay_s)
+        raise AttributeError("no pickle")
+
+if __name__ == "__main__":
+    try:
+        map_in_parallel(print, [Item(0), Item(1)], shared={}, workers=2)
+    except AttributeError as error:
+        print(error)
+"""
+
 
 def double(item, offset):
     return 2 * item + offset
@@ -40,6 +59,14 @@ def test_results_are_in_order_for_any_number_of_workers():
     )
     assert found == map_in_parallel(double, range(7), shared={"offset": 1}) == [1, 3, 5, 7, 9, 11, 13]
     assert sorted(arrived) == list(enumerate(found))
+
+
+def test_items_that_cannot_be_pickled_raise_an_error_and_do_not_block(tmp_path):
+    """Check items of which the second fails after the pool was told to shut down because of the first."""
+    script = tmp_path / "unpicklable.py"
+    script.write_text(UNPICKLABLE)
+    finished = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=100, check=True)
+    assert finished.stdout.splitlines() == ["no pickle"]
 
 
 def return_pid_and_shared(item, **shared):

@@ -1,5 +1,6 @@
 """Test virtual trials: design, plan, run, statistics and power."""
 
+import functools
 from dataclasses import replace
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy import stats
 import pssf
 from pssf.core.checks import InputError
 from pssf.model.sampling.knee_sampling import load_knee_distributions
-from pssf.trial import load_trial_design, make_trial, trial_power, trial_statistics
+from pssf.trial import load_trial_design, make_trial, trial_maker, trial_power, trial_statistics
 from pssf.trial.trial_design import CAUSES
 from pssf.trial.trial_plan import find_knee_at, plan_radiographs, plan_subject, slow_narrowing
 from pssf.trial.trial_run import load_views
@@ -245,6 +246,14 @@ def small_design():
     return load_trial_design(
         subjects=4, readers=("label", "human"), views=("fixed_flexion",), visits_months=(0.0, 12.0), cause_subjects=1
     )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _few_planned_trials():
+    """Check the power of each trial of this module with few planned trials, except where a test sets their number."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(trial_maker, "check_power", functools.partial(trial_power.check_power, pool=20, trials=10))
+        yield
 
 
 @pytest.fixture(scope="module")

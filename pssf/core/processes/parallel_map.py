@@ -6,7 +6,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -190,6 +190,7 @@ def _run_pool(
     If a worker was killed, BrokenProcessPool is raised after all finished results are delivered.
     """
     broken: BrokenProcessPool | None = None
+    futures: dict[Future[Result], int] = {}
     others = set(active_children()) - _pool_state.children
     try:
         pool = _open_pool(workers)
@@ -209,6 +210,8 @@ def _run_pool(
         if isinstance(error, KeyboardInterrupt):
             for child in set(active_children()) - others:
                 child.terminate()
+        for future in futures:
+            future.cancel()
         _shut_down_pool()
         raise
 
@@ -239,9 +242,13 @@ def _open_pool(workers: int) -> ProcessPoolExecutor:
 
 
 def _shut_down_pool() -> None:
-    """Shut down the pool, if there is one."""
+    """Shut down the pool, if there is one.
+
+    Items are not cancelled here: with `cancel_futures`, a pool of Python 3.11 waits forever if pickling an item fails
+    after the cancellation.
+    """
     if _pool_state.pool is not None:
-        _pool_state.pool.shutdown(cancel_futures=True)
+        _pool_state.pool.shutdown()
     _pool_state.pool, _pool_state.children = None, set()
 
 
