@@ -127,7 +127,12 @@ def cast_rays(
     face, u, v = hits["primID"][hit], hits["u"][hit, None], hits["v"][hit, None]
     a, b, c = ((normals @ np.float32(window.axes.T))[faces[face, k]] for k in range(3))
     normal = a * (1 - u - v) + b * u + c * v
-    return hit, normal / np.linalg.norm(normal, axis=1, keepdims=True), np.float32(colours)[face], hits["tfar"][hit]
+    return (
+        hit,
+        normal / np.linalg.norm(normal, axis=1, keepdims=True),
+        np.asarray(colours, np.float32)[face],
+        hits["tfar"][hit],
+    )
 
 
 def shade_cavities(distance_mm: np.ndarray) -> np.ndarray:

@@ -280,6 +280,7 @@ def test_a_folder_without_bones_and_damaged_files_raise_an_error(tmp_path):
         read_bones(tmp_path)
 
 
+@pytest.mark.slow  # All bones are built six times.
 def test_bone_measures_detect_a_stretched_bone():
     built = bone_comparison.build_bones(pssf.Knee(), load_anatomy_tables())
     pair = [bone_comparison.build_bones(pssf.Knee(shape=(score,)), load_anatomy_tables()) for score in (-1.0, 1.0)]

@@ -40,7 +40,7 @@ def run_successfully(*command, **options):
     return done.stdout
 
 
-@pytest.mark.parametrize("how", ["module", "installed"])
+@pytest.mark.parametrize("how", [pytest.param("module", marks=pytest.mark.slow), "installed"])
 def test_cohort_workers_do_not_run_files_of_the_working_folder(folder, how):
     # Like the installed command, this call does not add the working folder to the search path (option -P).
     installed = ["-P", "-c", "from pssf.__main__ import main; main()"]

@@ -101,6 +101,7 @@ def die_always(item):
     return item
 
 
+@pytest.mark.slow  # Dask starts each killed worker again before it gives up.
 def test_work_that_kills_every_worker_raises_workers_lost_error(disposable_cluster):
     with pytest.raises(WorkersLostError, match="killed repeatedly"):
         map_in_parallel(die_always, range(3), shared={}, scheduler=disposable_cluster.scheduler_address)

@@ -146,7 +146,7 @@ def test_the_difference_between_identical_predictions_is_zero():
     assert (found["p"] == 1).all()
 
 
-@settings(max_examples=30)
+@settings(max_examples=8)  # Each call of multipletests runs the garbage collector.
 @given(p=st.lists(st.floats(0, 1), min_size=1, max_size=20))
 def test_holm_correction_agrees_with_statsmodels(p):
     assert_allclose(confidence_intervals.apply_holm(np.array(p)), multipletests(p, method="holm")[1], rtol=1e-12)

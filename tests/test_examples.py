@@ -5,6 +5,11 @@ from pathlib import Path
 
 import pytest
 
+# Examples that build several knees run with the slow tests; a type checker compares their calls with the package.
+SLOW = {
+    *("counterfactual", "doses_and_tilts", "knee_replacement", "population", "read_labels", "readme_picture"),
+    *("train_monai", "train_torchio", "views", "visits"),
+}
 # Few knees are enough.
 FEWER = {
     "population": {"knees_per_grade": 1},
@@ -17,7 +22,10 @@ NEEDED = {"train_monai": "monai", "train_pytorch": "torch", "train_torchio": "to
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(path, marks=[pytest.mark.slow] if path.stem in SLOW else [], id=path.stem) for path in EXAMPLES],
+)
 def test_every_example_writes_the_files_that_it_returns(path, tmp_path):
     if path.stem in NEEDED:
         pytest.importorskip(NEEDED[path.stem], reason=f"{NEEDED[path.stem]} is not installed")

@@ -70,7 +70,7 @@ def measure_gap_on_contours(built, protocol, truth, side):
     return float((tibia - find_outline("femur", True)).min() * protocol.pixel_mm / magnification(view))
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(
     view=st.sampled_from(FRONTAL),
     table=st.sampled_from([("paper", 2), ("population", 4)]),

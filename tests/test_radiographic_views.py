@@ -295,6 +295,7 @@ def test_every_reference_value_of_patient_views_is_also_simulated():
     assert 90 < found["sulcus_angle_deg"] < 180
 
 
+@pytest.mark.slow  # Scatter is simulated by both methods.
 def test_scatter_kernel_and_monte_carlo_are_compared_for_each_view():
     (row,) = view_scatter.compare_scatter_by_view(1, ("lateral",), 200_000, sampled_grades=(2,))
     assert (row["view"], row["photons"]) == ("lateral", 200_000)

@@ -387,6 +387,7 @@ def test_subjects_are_kept_with_all_their_knees():
     assert (kept[::2] == kept[1::2]).all()
 
 
+@pytest.mark.slow  # The training takes half a minute.
 def test_side_network_learns_from_mirrored_crops(images, tmp_path):
     """In each image, the spots are at other places, so that a network can learn which images are mirrored."""
     losses = []

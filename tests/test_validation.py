@@ -96,6 +96,7 @@ def test_the_validation_figure_is_a_png():
     assert validation_figure.plot_error_against_time(rows).startswith(b"\x89PNG")
 
 
+@pytest.mark.slow  # Radiographs with each tolerance are compared with the whole spectrum.
 def test_a_smaller_spectrum_tolerance_needs_more_energies_and_is_met():
     rows = stage_times.measure_spectrum_nodes((1e-2, 1e-4, 1e-6))
     assert [row["used"] for row in rows] == [False, True, False]

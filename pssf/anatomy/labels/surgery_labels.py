@@ -14,6 +14,7 @@ import numpy as np
 from manifold3d import Manifold
 
 from ...core.checks import Array, InputError
+from ...core.label_names import TIBIAL_LANDMARKS
 from ...geometry.mesh import Indices, Mesh
 from ...geometry.mesh_topology import Faces, label_bodies
 from ...geometry.scene import Scene, Surface
@@ -90,7 +91,7 @@ def compute_labels_after_surgery(built: SurgicalMethods, view: View) -> Truth:
         },
         landmarks_px={
             name: place
-            for name, place in _select_unchanged_landmarks(built, truth, altered, view).items()
+            for name, place in _select_unchanged_landmarks(built, truth, altered, view, replaced).items()
             if not any(name.startswith(f"{side}_jsw_") for side in lost)
         },
         grade=None if replaced else truth.grade,
@@ -246,10 +247,13 @@ def _compute_labels(built: SurgicalMethods, bones: Mapping[str, Bone], view: Vie
 
 
 def _select_unchanged_landmarks(
-    built: SurgicalMethods, truth: Truth, altered: Truth, view: View
+    built: SurgicalMethods, truth: Truth, altered: Truth, view: View, replaced: list[str]
 ) -> dict[str, tuple[float, float]]:
-    """Select the landmarks whose positions are the same before and after surgery."""
-    gone = set()
+    """Select the landmarks whose positions are the same before and after surgery.
+
+    A plateau that is replaced on both sides has no landmarks, even if a fragment of a spine remains.
+    """
+    gone = set(TIBIAL_LANDMARKS if len(replaced) == len(SIDES) else ())
     if built.assembly.posture.is_frontal:
         # The widest points are measured on the bones before surgery, so their positions are tested against the surgical
         # steps.

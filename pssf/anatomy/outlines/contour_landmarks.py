@@ -84,10 +84,10 @@ _PLATEAU_UNDER = 0.04
 _PLATEAU_HEIGHT = 0.25
 # Number of steps in which the slope of the plateau is approached; four change it by less than 1e-6.
 _SLOPE_STEPS = 6
-# Semi-axes of the ellipsoid that contains the edge of the plateau in every view, around the point that is touched if the
-# rims are superimposed: mediolateral, anteroposterior and along the leg, in mm. In fixed flexion, the edges of 24
-# sampled knees with KL grades 1 to 4 are those of the whole contour. When the beam angle of the view ap_standing changes
-# by one degree, an edge moves by at most 0.4 mm; the point of the whole contour moves by up to 4.6 mm.
+# Semi-axes of the ellipsoid that contains the edge of the plateau in every view, around the point that is touched if
+# the rims are superimposed: mediolateral, anteroposterior and along the leg, in mm. In fixed flexion, the edges of 24
+# sampled knees with KL grades 1 to 4 are those of the whole contour. When the beam angle of the view ap_standing is
+# changed by one degree, an edge moves by at most 0.4 mm; the point of the whole contour moves by up to 4.6 mm.
 _EDGE_REACH_MM = (3.0, 8.0, 3.0)
 # Anteroposterior range of the search for the plateau floor, as fractions of the anteroposterior plateau depth.
 _MIDDLE = (0.25, 0.75)
