@@ -12,7 +12,8 @@ from scipy import stats
 import pssf
 from pssf.core.checks import InputError
 from pssf.model.sampling.knee_sampling import load_knee_distributions
-from pssf.trial import load_trial_design, make_trial, trial_maker, trial_power, trial_statistics
+from pssf.trial import load_trial_design, make_trial, trial_maker, trial_power, trial_sites, trial_statistics
+from pssf.trial.image_appearance import APPEARANCE, measure_appearance
 from pssf.trial.trial_design import CAUSES
 from pssf.trial.trial_plan import find_knee_at, plan_radiographs, plan_subject, slow_narrowing
 from pssf.trial.trial_run import load_views
@@ -226,6 +227,65 @@ def test_alignment_counts_radiographs_and_pairs():
     assert row["loss_all"] == pytest.approx(0.15, abs=0.04)
 
 
+def _make_sites(*, difference_mm, brightness, subjects=200):
+    """Make the first radiographs of subjects of two sites with another error and another brightness."""
+    rng = np.random.default_rng(1)
+    second = np.arange(subjects) % 2 == 1
+    true = rng.normal(4.0, 0.8, subjects)
+    table = pd.DataFrame(rng.normal(0.5, 0.05, (subjects, len(APPEARANCE))), columns=APPEARANCE)
+    table = table.add(brightness * second, axis=0)
+    return table.assign(
+        view="a", subject=range(subjects), site=np.where(second, "B", "A"), without="", repeat=0, month=0.0,
+        true_medial_mm=true, true_lateral_mm=true + 2,
+        label_medial_mm=true + rng.normal(0, 0.3, subjects) + difference_mm * second, label_lateral_mm=true + 2,
+    )  # fmt: skip
+
+
+def test_a_difference_between_sites_is_measured_and_harmonised():
+    design = load_trial_design(readers=("label",))
+    table = trial_sites.summarise_sites(_make_sites(difference_mm=0.5, brightness=0.0), design)
+    rows = table.set_index(["measure", "harmonisation"])
+    assert rows.loc[("medial_mm", "none"), "difference"] == pytest.approx(0.5, abs=0.13)
+    # Of the variance of the error, 0.3^2 is within sites and 0.25^2 between them.
+    assert rows.loc[("medial_mm", "none"), "site_share"] == pytest.approx(0.41, abs=0.12)
+    # The sites' knees differ by chance, which harmonisation takes for an effect of the site.
+    assert rows.loc[("medial_mm", "combat"), "difference"] < 0.3
+    assert rows.loc[("lateral_mm", "none"), "difference"] < 1e-9
+    low, high = rows.loc[("medial_mm", "none"), ["difference_low", "difference_high"]]
+    assert 0.3 < low < 0.5 < high < 0.7
+
+
+@pytest.mark.parametrize(("brightness", "recognised"), [(0.2, True), (0.0, False)])
+def test_sites_are_recognised_by_their_brightness_until_it_is_harmonised(brightness, recognised):
+    design = load_trial_design(readers=("label",))
+    table = trial_sites.recognise_sites(_make_sites(difference_mm=0.0, brightness=brightness), design)
+    rows = table.set_index(["predictors", "harmonisation"])
+    assert (rows["chance"] == 0.5).all()
+    assert (rows.loc[("image", "none"), "balanced_accuracy"] > 0.95) == recognised
+    for other in (("image", "combat"), ("label", "none"), ("label", "combat")):
+        assert rows.loc[other, "balanced_accuracy_low"] < 0.55
+        assert rows.loc[other, "balanced_accuracy_high"] > 0.45
+
+
+def test_small_or_single_sites_have_no_estimates():
+    design = load_trial_design(readers=("label",))
+    few = _make_sites(difference_mm=0.5, brightness=0.2, subjects=18)
+    for table in (few, few.assign(site="A")):
+        assert trial_sites.summarise_sites(table, design)["difference"].isna().all()
+        assert trial_sites.recognise_sites(table, design)["balanced_accuracy"].isna().all()
+
+
+def test_the_appearance_of_an_image_follows_its_grey_values_sharpness_and_noise():
+    rng = np.random.default_rng(0)
+    plane = np.linspace(20_000, 40_000, 401)[:, None] + np.zeros(401)
+    noisy = (plane + rng.normal(0, 300, plane.shape)).round().astype(np.uint16)
+    clean = measure_appearance(plane.round().astype(np.uint16), (200.0, 200.0), 0.2)
+    assert clean["grey_mean"] == pytest.approx(30_000 / 65_535, rel=1e-3)
+    assert clean["grey_gradient"] == pytest.approx(50 / 0.2 / 65_535, rel=0.01)
+    assert clean["grey_noise"] < 2 / 65_535
+    assert measure_appearance(noisy, (200.0, 200.0), 0.2)["grey_noise"] == pytest.approx(300 / 65_535, rel=0.02)
+
+
 def test_planned_trials_find_the_treatment_and_rarely_an_effect_that_is_not_there():
     design = load_trial_design(subjects=4)
     measures = pd.DataFrame({"view": ["a"], "reader": ["label"], "measure": ["medial_mm"], "sem": [0.3]})
@@ -274,7 +334,7 @@ def test_a_trial_writes_its_tables_and_report(small_trial, small_design):
     assert reading_error.std() > 0
     assert {path.name for path in small_trial.iterdir()} == {
         *("trial.json", "trial.html", "radiographs.csv", "measures.csv", "causes.csv", "alignment.csv"),
-        *("planned_power.csv", "subjects"),
+        *("planned_power.csv", "sites.csv", "site_recognition.csv", "subjects"),
     }
     assert "Virtual trial" in (small_trial / "trial.html").read_text(encoding="utf-8")
 

@@ -10,6 +10,7 @@ from .trial_design import CAUSES
 from .trial_power import check_power
 from .trial_report import render_trial_page
 from .trial_run import run_trial
+from .trial_sites import recognise_sites, summarise_sites
 from .trial_statistics import decompose_errors, summarise_alignment, summarise_measures
 
 REPORT_FILE = "trial.html"
@@ -60,6 +61,8 @@ def make_trial(
         "measures": measures,
         "causes": decompose_errors(radiographs, design),
         "alignment": summarise_alignment(radiographs, design),
+        "sites": summarise_sites(radiographs, design),
+        "site_recognition": recognise_sites(radiographs, design),
         "planned_power": check_power(design, measures, workers=workers or 1),
     }
     for name, table in tables.items():

@@ -43,7 +43,7 @@ def render_trial_page(design: TrialDesign, tables: dict[str, pd.DataFrame]) -> s
     design : TrialDesign
         Design of the trial.
     tables : dict of str to DataFrame
-        Tables ``measures``, ``causes``, ``alignment`` and ``planned_power``.
+        Tables ``measures``, ``causes``, ``alignment``, ``sites``, ``site_recognition`` and ``planned_power``.
 
     Returns
     -------
@@ -62,6 +62,8 @@ def render_trial_page(design: TrialDesign, tables: dict[str, pd.DataFrame]) -> s
         causes=_name_rows(tables["causes"].dropna(subset=["share"])),
         alignment=_name_rows(tables["alignment"]),
         power=_name_rows(tables["planned_power"]),
+        sites=_name_rows(tables["sites"].dropna(subset=["difference"])),
+        recognition=_name_rows(tables["site_recognition"].dropna(subset=["balanced_accuracy"])),
         aligned_mm=ALIGNED_MM,
         power_percent=round(100 * POWER),
     )
@@ -86,7 +88,7 @@ def _summarise(design: TrialDesign, measures: pd.DataFrame) -> str:
 def _name_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
     """Return the rows of a table with readable names of measures and readers."""
     named = table.copy()
-    for column, names in (("measure", MEASURE_NAMES), ("reader", READER_NAMES)):
+    for column, names in (("measure", MEASURE_NAMES), ("reader", READER_NAMES), ("predictors", READER_NAMES)):
         if column in named:
             named[column] = named[column].map(lambda name, names=names: names.get(name, name))
     return named.to_dict("records")

@@ -22,7 +22,7 @@ _RESAMPLES = 500
 _MIN_KNEES = 10
 _PERCENTILES = (2.5, 97.5)
 # Measures whose true value is the joint space of a compartment of the knee.
-_TRUE_MEASURES = {"medial_mm": "true_medial_mm", "lateral_mm": "true_lateral_mm"}
+TRUE_MEASURES = {"medial_mm": "true_medial_mm", "lateral_mm": "true_lateral_mm"}
 _COMPARTMENTS = {"lateral_mm": "lateral"}
 MEASURE_COLUMNS = [
     *("view", "reader", "measure", "radiographs", "missing", "knees"),
@@ -98,7 +98,7 @@ def list_measures(radiographs: pd.DataFrame, design: TrialDesign) -> list[tuple[
 def _summarise(table: pd.DataFrame, reader: str, measure: str, design: TrialDesign) -> dict[str, Any]:
     """Summarise one measure of one reader in one view."""
     column = measure if reader == "image" else f"{reader}_{measure}"
-    errors = table[column] - table[_TRUE_MEASURES[measure]] if measure in _TRUE_MEASURES else None
+    errors = table[column] - table[TRUE_MEASURES[measure]] if measure in TRUE_MEASURES else None
     against = None if reader in ("label", "image") else (table[column] - table[f"label_{measure}"]).mean()
     repeats = _pivot_repeats(table, column)
     changes = _pivot_changes(table, column, design)

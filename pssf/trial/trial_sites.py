@@ -1,0 +1,174 @@
+"""Differences between the sites of a trial, with and without harmonisation."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from sklearn.linear_model import LogisticRegression
+from sklearn.metrics import balanced_accuracy_score
+from sklearn.model_selection import StratifiedGroupKFold
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
+
+from ..core.checks import Array
+from ..data.analysis.trial_table import TrialDesign
+from ..study.learn.protocol_transfer import harmonise_features
+from ..study.statistics.features.icc_by_subject import sample_knee_weights
+from .image_appearance import APPEARANCE
+from .trial_statistics import TRUE_MEASURES
+
+HARMONISATIONS = ("none", "combat")
+IMAGE = "image"
+_FOLDS = 5
+_REPLICATES = 500
+_PERCENTILES = (2.5, 97.5)
+# Smallest number of subjects of a site from which its difference from other sites is estimated (assumed).
+_MIN_SUBJECTS = 10
+SITE_COLUMNS = [
+    *("view", "reader", "measure", "harmonisation", "knees"),
+    *("difference", "difference_low", "difference_high"),
+    *("site_share", "site_share_low", "site_share_high"),
+]
+RECOGNITION_COLUMNS = [
+    *("view", "predictors", "harmonisation", "knees", "sites"),
+    *("balanced_accuracy", "balanced_accuracy_low", "balanced_accuracy_high", "chance"),
+]
+
+
+def summarise_sites(radiographs: pd.DataFrame, design: TrialDesign) -> pd.DataFrame:
+    """Summarise the differences of the measured joint space between sites.
+
+    Parameters
+    ----------
+    radiographs : DataFrame
+        One row per radiograph of the trial.
+    design : TrialDesign
+        Design of the trial.
+
+    Returns
+    -------
+    DataFrame
+        Columns `SITE_COLUMNS`. ``difference`` is the largest difference between sites of the mean error, against the
+        joint space of the knee, in mm. ``site_share`` is the fraction of the variance of the error between sites.
+        Values are from the first radiograph of each knee. Harmonisation makes mean and standard deviation of each
+        site those of the first site. Intervals are from a bootstrap of subjects; both quantities are above 0 by chance alone.
+    """
+    rows: list[dict[str, Any]] = []
+    for view, first in _select_first_radiographs(radiographs).groupby("view", sort=False):
+        for reader in design.readers:
+            for measure, truth in TRUE_MEASURES.items():
+                known = first.dropna(subset=[f"{reader}_{measure}"])
+                for harmonisation in HARMONISATIONS:
+                    label = {"view": view, "reader": reader, "measure": measure, "harmonisation": harmonisation}
+                    estimates = _compare_sites(known, f"{reader}_{measure}", truth, harmonisation)
+                    rows.append(label | {"knees": len(known)} | estimates)
+    return pd.DataFrame(rows, columns=SITE_COLUMNS)
+
+
+def recognise_sites(radiographs: pd.DataFrame, design: TrialDesign) -> pd.DataFrame:
+    """Measure how well the site of a radiograph is recognised.
+
+    Parameters
+    ----------
+    radiographs : DataFrame
+        One row per radiograph of the trial.
+    design : TrialDesign
+        Design of the trial.
+
+    Returns
+    -------
+    DataFrame
+        Columns `RECOGNITION_COLUMNS`: balanced accuracy of logistic regression in cross-validation by subject, from the
+        appearance of the image or from the joint spaces of a reader. Harmonisation is fitted to the training subjects.
+        The interval is from a bootstrap of the tested subjects.
+    """
+    rows: list[dict[str, Any]] = []
+    for view, first in _select_first_radiographs(radiographs).groupby("view", sort=False):
+        sets = {reader: [f"{reader}_{name}" for name in ("medial_mm", "lateral_mm")] for reader in design.readers}
+        if APPEARANCE[0] in first:
+            sets = {IMAGE: list(APPEARANCE)} | sets
+        for predictors, names in sets.items():
+            known = first.dropna(subset=names)
+            for harmonisation in HARMONISATIONS:
+                label = {"view": view, "predictors": predictors, "harmonisation": harmonisation}
+                rows.append(label | _recognise(known, names, harmonisation))
+    return pd.DataFrame(rows, columns=RECOGNITION_COLUMNS)
+
+
+def _select_first_radiographs(radiographs: pd.DataFrame) -> pd.DataFrame:
+    """Select the first radiograph of each knee in each view."""
+    return radiographs[(radiographs["without"] == "") & (radiographs["repeat"] == 0) & (radiographs["month"] == 0)]
+
+
+def _has_enough_sites(first: pd.DataFrame) -> bool:
+    """Return whether there are two sites, and each has enough subjects."""
+    counts = first.groupby("site")["subject"].nunique()
+    return len(counts) > 1 and counts.min() >= _MIN_SUBJECTS
+
+
+def _harmonise(features: pd.DataFrame, sites: pd.Series, fitted: NDArray[np.bool_], harmonisation: str) -> pd.DataFrame:
+    """Harmonise features (knees, features) of all sites with the first site, fitted to a part of the knees."""
+    if harmonisation == "none":
+        return features
+    reference = features[fitted & (sites == sites.min())]
+    parts = [
+        harmonise_features(features[sites == site], features[fitted & (sites == site)], reference)
+        for site in sorted(sites.unique())
+    ]
+    return pd.concat(parts).loc[features.index]
+
+
+def _compare_sites(first: pd.DataFrame, column: str, truth: str, harmonisation: str) -> dict[str, float]:
+    """Compare the errors of a measure between sites."""
+    if not _has_enough_sites(first):
+        return {}
+    every = np.ones(len(first), bool)
+    values = _harmonise(first[[column]], first["site"], every, harmonisation)[column]
+    errors = (values - first[truth]).to_numpy()
+    at_site = (first["site"].to_numpy() == np.unique(first["site"])[:, None]).astype(np.float64)
+
+    def difference(weights: Array) -> float:
+        """Return the largest difference of the weighted mean error between sites."""
+        return float(np.ptp((at_site * weights) @ errors / (at_site @ weights)))
+
+    def share(weights: Array) -> float:
+        """Return the fraction of the weighted variance that is between sites."""
+        means = (at_site * weights) @ errors / (at_site @ weights)
+        centre = weights @ errors / weights.sum()
+        total = weights @ (errors - centre) ** 2
+        return float((at_site @ weights) @ (means - centre) ** 2 / total) if total > 0 else float("nan")
+
+    drawn = sample_knee_weights(first["subject"].to_numpy(), replicates=_REPLICATES, seed=0)
+    drawn = drawn[((drawn @ at_site.T) > 0).all(axis=1)]
+    return _estimate("difference", difference, drawn) | _estimate("site_share", share, drawn)
+
+
+def _recognise(first: pd.DataFrame, names: list[str], harmonisation: str) -> dict[str, Any]:
+    """Predict the site of each radiograph in cross-validation by subject and score the predictions."""
+    sites, subjects = first["site"], first["subject"].to_numpy()
+    row: dict[str, Any] = {"knees": len(first), "sites": sites.nunique(), "chance": 1 / max(1, sites.nunique())}
+    if not _has_enough_sites(first):
+        return row
+    predicted = np.empty(len(first), object)
+    folds = StratifiedGroupKFold(_FOLDS, shuffle=True, random_state=0)
+    for training, tested in folds.split(first, sites, subjects):
+        fitted = np.isin(np.arange(len(first)), training)
+        features = _harmonise(first[names], sites, fitted, harmonisation).to_numpy()
+        model = make_pipeline(StandardScaler(), LogisticRegression(max_iter=1000, class_weight="balanced"))
+        model.fit(features[training], sites.iloc[training])
+        predicted[tested] = model.predict(features[tested])
+
+    def score(weights: Array) -> float:
+        """Return the balanced accuracy of weighted knees."""
+        return float(balanced_accuracy_score(sites.to_list(), list(predicted), sample_weight=weights))
+
+    drawn = sample_knee_weights(subjects, replicates=_REPLICATES, seed=0)
+    return row | _estimate("balanced_accuracy", score, drawn)
+
+
+def _estimate(name: str, compute: Callable[[Array], float], drawn: Array) -> dict[str, float]:
+    """Compute a statistic and its 95 % interval; `drawn` (replicates, knees) are the weights of bootstrap samples."""
+    low, high = np.nanpercentile([compute(weights) for weights in drawn], _PERCENTILES)
+    return {name: compute(np.ones(drawn.shape[1])), f"{name}_low": float(low), f"{name}_high": float(high)}
