@@ -53,7 +53,8 @@ def summarise_sites(radiographs: pd.DataFrame, design: TrialDesign) -> pd.DataFr
         Columns `SITE_COLUMNS`. ``difference`` is the largest difference between sites of the mean error, against the
         joint space of the knee, in mm. ``site_share`` is the fraction of the variance of the error between sites.
         Values are from the first radiograph of each knee. Harmonisation makes mean and standard deviation of each
-        site those of the first site. Intervals are from a bootstrap of subjects; both quantities are above 0 by chance alone.
+        site those of the first site. Intervals are from a bootstrap of subjects; both quantities are above 0 by chance
+        alone.
     """
     rows: list[dict[str, Any]] = []
     for view, first in _select_first_radiographs(radiographs).groupby("view", sort=False):
