@@ -8,12 +8,15 @@ import pandas as pd
 import pytest
 from msgspec import structs
 from scipy import stats
+from scipy.spatial import cKDTree
 
 import pssf
+from pssf.anatomy.outlines.projected_contours import COMPARTMENT_RANGE
 from pssf.core.checks import InputError
 from pssf.model.sampling.knee_sampling import load_knee_distributions
 from pssf.trial import load_trial_design, make_trial, trial_maker, trial_power, trial_sites, trial_statistics
 from pssf.trial.image_appearance import APPEARANCE, measure_appearance
+from pssf.trial.minimal_distance import measure_minimal_distances
 from pssf.trial.trial_design import CAUSES
 from pssf.trial.trial_plan import find_knee_at, plan_radiographs, plan_subject, slow_narrowing
 from pssf.trial.trial_run import load_views
@@ -286,6 +289,21 @@ def test_the_appearance_of_an_image_follows_its_grey_values_sharpness_and_noise(
     assert measure_appearance(noisy, (200.0, 200.0), 0.2)["grey_noise"] == pytest.approx(300 / 65_535, rel=0.02)
 
 
+def test_the_minimal_distance_equals_the_smallest_distance_of_sampled_points(built, knee):
+    meshes = {surface.name: surface.mesh_arrays for surface in built.scene.surfaces}
+    half = built.assembly.bone_parameters.half_ml_mm
+    for side, distance in zip((1, -1), measure_minimal_distances(built), strict=True):
+        parts = []
+        for name in ("femur", "tibia"):
+            x = side * meshes[name].vertices[:, 0] / half
+            inside = meshes[name].vertices[(COMPARTMENT_RANGE[0] < x) & (x < COMPARTMENT_RANGE[1])]
+            parts.append(inside[np.abs(inside[:, 2]) < 14])
+        nearest = cKDTree(parts[0]).query(parts[1])[0].min()
+        # Vertices are up to 2 mm apart, so that the nearest vertices are slightly farther apart than the surfaces.
+        assert distance <= nearest + 1e-9
+        assert distance > nearest - 0.3
+
+
 def test_planned_trials_find_the_treatment_and_rarely_an_effect_that_is_not_there():
     design = load_trial_design(subjects=4)
     measures = pd.DataFrame({"view": ["a"], "reader": ["label"], "measure": ["medial_mm"], "sem": [0.3]})
@@ -329,6 +347,9 @@ def test_a_trial_writes_its_tables_and_report(small_trial, small_design):
     assert set(radiographs["month"]) <= {0.0, 12.0}
     assert (radiographs["without"] == "beam").sum() == small_design.repeats
     assert np.isfinite(radiographs["label_medial_mm"]).all()
+    first = radiographs[(radiographs["month"] == 0) & (radiographs["repeat"] == 0) & radiographs["without"].isna()]
+    assert list(radiographs.index[radiographs["distance_medial_mm"].notna()]) == list(first.index)
+    assert (first["distance_medial_mm"] < first["true_medial_mm"] + 0.1).all()
     reading_error = radiographs["human_medial_mm"] - radiographs["label_medial_mm"]
     assert reading_error.abs().max() < 5 * small_design.human.sd_mm
     assert reading_error.std() > 0

@@ -30,6 +30,7 @@ from ..texture import (
     mirror_texture_features,
 )
 from .image_appearance import measure_appearance
+from .minimal_distance import measure_minimal_distances
 from .trial_plan import PlannedRadiograph, plan_radiographs, plan_subject
 
 # Fraction of the femoral width at which the fixed joint space is measured (Neumann et al. 2009).
@@ -157,7 +158,11 @@ def _measure_in_turn(
         nominal = views[one.labels["view"]]
         magnification = (protocol.sdd_mm / protocol.sod_mm) / (nominal.sdd_mm / nominal.sod_mm)
         exact = _read_labels(truth, magnification)
-        row = _describe(one.knee, truth, protocol) | _name_measures("label", exact, one.knee, cuts)
+        row = (
+            _describe(one.knee, truth, protocol)
+            | _measure_distances(built, one.labels)
+            | _name_measures("label", exact, one.knee, cuts)
+        )
         if "human" in design.readers:
             row |= _name_measures("human", _read_as_human(exact, design, one.reading_key), one.knee, cuts)
         if reader is not None or design.texture:
@@ -183,6 +188,14 @@ def _describe(knee: Knee, truth: Truth, protocol: Protocol) -> Row:
         "beam_angle_deg": protocol.beam_angle_deg,
         **{name: getattr(protocol, name) for name in ("rotation_deg", "flexion_deg", "sdd_mm", "sod_mm")},
     }
+
+
+def _measure_distances(built: BuiltKnee, labels: Mapping[str, Any]) -> Row:
+    """Measure the minimal distances between the bones for the first radiograph of a knee in each view."""
+    if labels["month"] or labels["repeat"] or labels["without"]:
+        return {}
+    medial, lateral = measure_minimal_distances(built)
+    return {"distance_medial_mm": medial, "distance_lateral_mm": lateral}
 
 
 def _read_labels(truth: Truth, magnification: float) -> dict[str, float]:

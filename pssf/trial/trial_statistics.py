@@ -26,7 +26,7 @@ TRUE_MEASURES = {"medial_mm": "true_medial_mm", "lateral_mm": "true_lateral_mm"}
 _COMPARTMENTS = {"lateral_mm": "lateral"}
 MEASURE_COLUMNS = [
     *("view", "reader", "measure", "radiographs", "missing", "knees"),
-    *("bias_true", "bias_projected"),
+    *("bias_true", "bias_projected", "bias_3d", "r_3d"),
     *(f"{name}{end}" for name in ("sem", "sdd", "icc", "srm") for end in ("", "_low", "_high")),
     *("change", "change_sd", "subjects_per_arm", "subjects_per_arm_low", "subjects_per_arm_high"),
     *("difference", "p"),
@@ -111,6 +111,7 @@ def _summarise(table: pd.DataFrame, reader: str, measure: str, design: TrialDesi
         "knees": len(repeats),
         "bias_true": np.nan if errors is None else errors.mean(),
         "bias_projected": np.nan if against is None else against,
+        **_compare_with_distance(table, column, measure),
         "change": untreated["change"].mean(),
         "change_sd": untreated["change"].std(ddof=1),
     }
@@ -122,6 +123,17 @@ def _summarise(table: pd.DataFrame, reader: str, measure: str, design: TrialDesi
         row["difference"] = treated["change"].mean() - untreated["change"].mean()
         row["p"] = float(stats.ttest_ind(treated["change"], untreated["change"], equal_var=False).pvalue)
     return row
+
+
+def _compare_with_distance(table: pd.DataFrame, column: str, measure: str) -> dict[str, float]:
+    """Compare a minimum joint space with the minimal distance of the bones: mean difference and correlation."""
+    distance = f"distance_{measure}"
+    if measure not in TRUE_MEASURES or distance not in table:
+        return {}
+    known = table[[column, distance]].dropna()
+    enough = len(known) >= _MIN_KNEES
+    r = float(np.corrcoef(known[column], known[distance])[0, 1]) if enough else np.nan
+    return {"bias_3d": (known[column] - known[distance]).mean(), "r_3d": r}
 
 
 def _is_slowed(measure: str, design: TrialDesign) -> bool:
