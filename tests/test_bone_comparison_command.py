@@ -47,6 +47,7 @@ def run_comparison(folder, out):
     return done, pd.read_csv(out / "bones.csv").set_index(["bone", "comparison"])
 
 
+@pytest.mark.slow  # Bones of several subjects are built and compared.
 def test_known_displacements_of_bones_are_recovered(patient_bones, tmp_path):
     write_archive(tmp_path / "given" / "knees.npz", patient_bones)
     done, table = run_comparison(tmp_path / "given", tmp_path / "out")

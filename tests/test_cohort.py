@@ -249,13 +249,13 @@ def test_repositioned_knees_differ_in_opposite_directions_and_only_in_pose():
 def test_the_retest_manifest_lists_the_kind_and_number_of_each_repeat(tmp_path):
     small = tmp_path / "small.toml"
     small.write_text('base = "reference"\nname = "reference"\nrows = 64\ncols = 64\npixel_mm = 4.8\ntexture = "none"\n')
-    plan = plan_tiny_cohort([str(small)], retested=2)
+    plan = plan_tiny_cohort([str(small)], retested=1)
     repeats = cohort.plan_retest(plan)
     rows = read_rows(cohort.make_cohort(repeats, tmp_path / "r", workers=1))
     turns = (("noise", "1"), ("noise", "2"), ("perturbation", "1"), ("perturbation", "2"))
-    assert Counter((row["kind"], row["repeat_index"]) for row in rows) == dict.fromkeys(turns, 2)
+    assert Counter((row["kind"], row["repeat_index"]) for row in rows) == dict.fromkeys(turns, 1)
     assert {row["subject"] for row in rows} == {str(plan.cases[int(row["source_knee"])].subject) for row in rows}
-    assert len({row["sha256"] for row in rows}) == 8
+    assert len({row["sha256"] for row in rows}) == 4
     beams = {entry["beam_angle_deg"] for entry in json.loads((tmp_path / "r" / "cohort.json").read_text())["protocols"]}
     assert beams == {-1.0, 0.0, 1.0}
 

@@ -29,7 +29,7 @@ def films(tmp_path_factory):
 def trained(films, tmp_path_factory):
     cohort = block_knee_cohort.Cohort(4, grades=5)
     manifest = cohort.manifest[cohort.manifest["protocol"] == "reference"]
-    film_set = block_knee_cohort.make_film_set(films, load_cohort=cohort.display)
+    film_set = block_knee_cohort.make_film_set(films, load_cohort=cohort.display, pixel_mm=0.6, region_mm=48.0)
     folder = tmp_path_factory.mktemp("five_study")
     return study.run(
         manifest, cohort.load, [block_knee_cohort.TEMPLATE], block_knee_cohort.LIGHT, folder / "out", films=film_set
