@@ -42,6 +42,13 @@ def trial(
             "rotation, flexion, magnification, noise, display. An existing trial needs only the new radiographs."
         ),
     ] = "beam,rotation,flexion,magnification,noise,display",
+    what_if: Annotated[
+        str,
+        typer.Option(
+            help="Changes whose effect is estimated in what_if.csv without a new simulation, separated by commas: "
+            "fraction=0.3 (of the treatment), human_sd_mm=0.1, human_bias_mm=0."
+        ),
+    ] = "",
     seed: Annotated[
         int | None, typer.Option(help="Seed of all random numbers; the same seed gives byte-identical output.")
     ] = None,
@@ -67,10 +74,13 @@ def trial(
         readers=None if readers is None else split_names(readers),
         seed=seed,
     )
-    causes = split_names(without) if without else ()
+    causes, changes = split_names(without) if without else (), _parse_changes(what_if)
     total = count_subject_jobs(settings, causes)
     with Execution(progress_bar=show_progress_bar).stage("subjects", "subjects", total) as stage:
-        page = make_trial(settings, out, without=causes, workers=workers, scheduler=scheduler, progress=stage.advance)
+        page = make_trial(
+            settings, out, without=causes, what_if=changes, workers=workers, scheduler=scheduler,
+            progress=stage.advance,
+        )  # fmt: skip
     print(f"report    {page}")
 
 
@@ -155,3 +165,12 @@ def _parse_range(label: str, text: str) -> tuple[float, ...]:
     if not 1 <= count <= _MOST_VALUES:
         raise InputError(f"{label} must be 1 to {_MOST_VALUES} values, first:last:step, got {text!r}")
     return tuple(round(first + step * turn, 6) for turn in range(count))
+
+
+def _parse_changes(text: str) -> dict[str, float]:
+    """Parse changes such as ``fraction=0.3,human_sd_mm=0.1``."""
+    changes = {}
+    for part in split_names(text) if text else ():
+        name, _, value = part.partition("=")
+        (changes[name.strip()],) = parse_numbers(f"what-if {name.strip()}", value)
+    return changes

@@ -58,7 +58,7 @@ def load_trial_design(file: str | Path | None = None, **settings: Any) -> TrialD
             design = msgspec.convert(table, TrialDesign)
     except msgspec.ValidationError as error:
         raise InputError(f"trial design must have the entries of a design file, got: {error}") from None
-    _check_design(design)
+    check_design(design)
     return design
 
 
@@ -75,8 +75,19 @@ def _merge(table: dict[str, Any], given: Mapping[str, Any], path: Path) -> dict[
     return merged
 
 
-def _check_design(design: TrialDesign) -> None:
-    """Raise InputError if an entry of a design is not allowed."""
+def check_design(design: TrialDesign) -> None:
+    """Check the entries of a design.
+
+    Parameters
+    ----------
+    design : TrialDesign
+        Design of a trial.
+
+    Raises
+    ------
+    InputError
+        If an entry is not allowed.
+    """
     require_integer("subjects", design.subjects, 4, 100_000, "")
     require_integer("repeats", design.repeats, 2, 20, "")
     require_integer("cause_subjects", design.cause_subjects, 0, 100_000, "")

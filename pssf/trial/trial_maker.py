@@ -1,6 +1,6 @@
 """Make a virtual trial: run it, and write its tables and report."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from ..data.analysis.trial_table import TrialDesign
@@ -12,6 +12,7 @@ from .trial_report import render_trial_page
 from .trial_run import run_trial
 from .trial_sites import recognise_sites, summarise_sites
 from .trial_statistics import decompose_errors, summarise_alignment, summarise_measures
+from .trial_what_if import estimate_what_if
 
 REPORT_FILE = "trial.html"
 
@@ -21,6 +22,7 @@ def make_trial(
     folder: str | Path,
     *,
     without: Sequence[str] = tuple(CAUSES),
+    what_if: Mapping[str, float] | None = None,
     workers: int | None = None,
     scheduler: str | None = None,
     progress: Callable[[int], None] = lambda done: None,
@@ -35,6 +37,8 @@ def make_trial(
         Output folder. The records of an earlier run of the same design are reused.
     without : sequence of str
         Causes of measurement error that are left out in turn, from `trial_design.CAUSES`.
+    what_if : mapping of str to float, optional
+        Changes whose effect is estimated without a new simulation; see `trial_what_if.estimate_what_if`.
     workers : int, optional
         Number of local processes, 1 to 256. None starts one process per available core.
     scheduler : str, optional
@@ -50,8 +54,8 @@ def make_trial(
     Raises
     ------
     InputError
-        If a view or cause is unknown, the folder contains another trial, a subject cannot be built, the disk is not
-        writable, or the scheduler cannot be reached.
+        If a view, cause or change is unknown, the folder contains another trial, a subject cannot be built, the disk is
+        not writable, or the scheduler cannot be reached.
     WorkersLostError
         If workers are killed repeatedly.
     """
@@ -65,6 +69,8 @@ def make_trial(
         "site_recognition": recognise_sites(radiographs, design),
         "planned_power": check_power(design, measures, workers=workers or 1),
     }
+    if what_if:
+        tables["what_if"] = estimate_what_if(radiographs, design, what_if)
     for name, table in tables.items():
         save_table(Path(folder) / f"{name}.csv", table)
     path = Path(folder) / REPORT_FILE
