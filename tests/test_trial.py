@@ -20,7 +20,7 @@ from pssf.trial.minimal_distance import measure_minimal_distances
 from pssf.trial.trial_design import CAUSES
 from pssf.trial.trial_plan import find_knee_at, plan_radiographs, plan_subject, slow_narrowing
 from pssf.trial.trial_run import load_views
-from pssf.trial.trial_what_if import estimate_what_if
+from pssf.trial.trial_what_if import change_design, estimate_what_if
 
 
 @pytest.fixture(scope="module")
@@ -250,7 +250,7 @@ def test_a_difference_between_sites_is_measured_and_harmonised():
     table = trial_sites.summarise_sites(_make_sites(difference_mm=0.5, brightness=0.0), design)
     rows = table.set_index(["measure", "harmonisation"])
     assert rows.loc[("medial_mm", "none"), "difference"] == pytest.approx(0.5, abs=0.13)
-    # Of the variance of the error, 0.3^2 is within sites and 0.25^2 between them.
+    # The variance of the error is 0.3^2 within sites and 0.25^2 between them.
     assert rows.loc[("medial_mm", "none"), "site_share"] == pytest.approx(0.41, abs=0.12)
     # The sites' knees differ by chance, which harmonisation takes for an effect of the site.
     assert rows.loc[("medial_mm", "combat"), "difference"] < 0.3
@@ -307,7 +307,9 @@ def test_the_minimal_distance_equals_the_smallest_distance_of_sampled_points(bui
 
 def test_a_what_if_with_unchanged_values_gives_the_same_measures(small_trial, small_design):
     radiographs = pd.read_csv(small_trial / "radiographs.csv").fillna({"without": ""})
-    same = estimate_what_if(radiographs, small_design, {"fraction": small_design.treatment.fraction})
+    same = estimate_what_if(
+        radiographs, small_design, change_design(small_design, {"fraction": small_design.treatment.fraction})
+    )
     measures = pd.read_csv(small_trial / "measures.csv")
     pd.testing.assert_series_equal(same["sem"].astype(float), measures["sem"], check_exact=False, rtol=1e-9)
     assert not {"difference", "p"} & set(same)
@@ -319,11 +321,12 @@ def test_a_what_if_changes_the_error_of_the_human_reader():
     rng = np.random.default_rng(3)
     for name in ("medial_mm", "lateral_mm", "fixed_mm", "mean_mm", "narrowing"):
         table[f"human_{name}"] = table[f"label_{name}"] + rng.normal(0, design.human.sd_mm, len(table))
-    changed = estimate_what_if(table, design, {"human_sd_mm": 0.4, "human_bias_mm": 0.5, "fraction": 1.0})
+    changes = {"human_sd_mm": 0.4, "human_bias_mm": 0.5, "fraction": 1.0}
+    changed = estimate_what_if(table, design, change_design(design, changes))
     row = changed.set_index(["reader", "measure"]).loc[("human", "medial_mm")]
     assert row["sem"] == pytest.approx(np.hypot(0.3, 0.4), rel=0.06)
     assert row["bias_projected"] == pytest.approx(0.5, abs=0.05)
-    whole = estimate_what_if(table, design, {}).set_index(["reader", "measure"])
+    whole = estimate_what_if(table, design, design).set_index(["reader", "measure"])
     label = changed.set_index(["reader", "measure"]).loc[("label", "medial_mm"), "subjects_per_arm"]
     # The number of knees is inversely proportional to the square of the effect.
     ratio = whole.loc[("label", "medial_mm"), "subjects_per_arm"] / label
@@ -338,10 +341,11 @@ def test_a_what_if_changes_the_error_of_the_human_reader():
         ({"human_sd_mm": 0.1}, ("label",), "human reader must be part of the trial"),
     ],
 )
-def test_invalid_what_if_changes_are_refused(changes, readers, message):
+def test_invalid_what_if_changes_are_refused_before_the_trial_runs(changes, readers, message, tmp_path):
     design = load_trial_design(readers=readers, visits_months=(0.0, 24.0), views=("lyon_schuss",))
     with pytest.raises(InputError, match=message):
-        estimate_what_if(_make_radiographs(design, knees=12, error_mm=0.3), design, changes)
+        make_trial(design, tmp_path / "trial", what_if=changes, workers=1)
+    assert not (tmp_path / "trial").exists()
 
 
 def test_planned_trials_find_the_treatment_and_rarely_an_effect_that_is_not_there():

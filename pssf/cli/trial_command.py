@@ -172,5 +172,5 @@ def _parse_changes(text: str) -> dict[str, float]:
     changes = {}
     for part in split_names(text) if text else ():
         name, _, value = part.partition("=")
-        (changes[name.strip()],) = parse_numbers(f"what-if {name.strip()}", value)
+        (changes[name],) = parse_numbers(f"what-if {name}", value)
     return changes

@@ -12,7 +12,7 @@ from .trial_report import render_trial_page
 from .trial_run import run_trial
 from .trial_sites import recognise_sites, summarise_sites
 from .trial_statistics import decompose_errors, summarise_alignment, summarise_measures
-from .trial_what_if import estimate_what_if
+from .trial_what_if import change_design, estimate_what_if
 
 REPORT_FILE = "trial.html"
 
@@ -38,7 +38,7 @@ def make_trial(
     without : sequence of str
         Causes of measurement error that are left out in turn, from `trial_design.CAUSES`.
     what_if : mapping of str to float, optional
-        Changes whose effect is estimated without a new simulation; see `trial_what_if.estimate_what_if`.
+        Changes whose effect is estimated without a new simulation; see `trial_what_if.change_design`.
     workers : int, optional
         Number of local processes, 1 to 256. None starts one process per available core.
     scheduler : str, optional
@@ -59,6 +59,7 @@ def make_trial(
     WorkersLostError
         If workers are killed repeatedly.
     """
+    changed = change_design(design, what_if) if what_if else None
     radiographs = run_trial(design, folder, without=without, workers=workers, scheduler=scheduler, progress=progress)
     measures = summarise_measures(radiographs, design)
     tables = {
@@ -69,8 +70,8 @@ def make_trial(
         "site_recognition": recognise_sites(radiographs, design),
         "planned_power": check_power(design, measures, workers=workers or 1),
     }
-    if what_if:
-        tables["what_if"] = estimate_what_if(radiographs, design, what_if)
+    if changed is not None:
+        tables["what_if"] = estimate_what_if(radiographs, design, changed)
     for name, table in tables.items():
         save_table(Path(folder) / f"{name}.csv", table)
     path = Path(folder) / REPORT_FILE

@@ -169,7 +169,7 @@ def _measure_in_turn(
             radiograph = _simulate(built, protocol, one.noise_seed)
             processing = "processed" if one.labels["without"] == "display" else display
             shown = render_for_display(radiograph, bits=16, processing=processing)
-            row |= _measure_appearance(shown, truth, protocol)
+            row |= measure_appearance(np.asarray(shown), truth.landmarks_px["joint_centre"], protocol.pixel_mm)
             if reader is not None:
                 read = _read_by_network(shown, nominal, one.knee.side, reader)
                 row |= _name_measures("network", read, one.knee, cuts)
@@ -243,11 +243,6 @@ def _read_by_network(shown: Any, nominal: Protocol, side: str, reader: Reader) -
     measures = knees[0].measures
     width_mm = measures.plateau_width_px * nominal.pixel_mm * nominal.sod_mm / nominal.sdd_mm
     return _collect_spaces(measures.medial_jsw_share, measures.lateral_jsw_share, measures.jsw_at_share, width_mm)
-
-
-def _measure_appearance(shown: Any, truth: Truth, protocol: Protocol) -> Row:
-    """Measure the appearance of a display image around the joint."""
-    return dict(measure_appearance(np.asarray(shown), truth.landmarks_px["joint_centre"], protocol.pixel_mm))
 
 
 def _measure_texture(radiograph: Radiograph, side: str, shown: Any) -> Row:

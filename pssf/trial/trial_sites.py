@@ -1,6 +1,5 @@
 """Differences between the sites of a trial, with and without harmonisation."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -12,17 +11,14 @@ from sklearn.model_selection import StratifiedGroupKFold
 from ..core.checks import Array
 from ..data.analysis.trial_table import TrialDesign
 from ..study.learn.protocol_transfer import harmonise_features
-from ..study.statistics.features.icc_by_subject import sample_knee_weights
 from .image_appearance import APPEARANCE
-from .trial_statistics import TRUE_MEASURES
+from .trial_statistics import TRUE_MEASURES, estimate_with_interval
 
 HARMONISATIONS = ("none", "combat")
 IMAGE = "image"
 _FOLDS = 5
 # A linear model would not recognise sites with equal means, although their distributions may differ.
 _TREES = 100
-_REPLICATES = 500
-_PERCENTILES = (2.5, 97.5)
 # Smallest number of subjects of a site from which its difference from other sites is estimated (assumed).
 _MIN_SUBJECTS = 10
 SITE_COLUMNS = [
@@ -126,22 +122,10 @@ def _compare_sites(first: pd.DataFrame, column: str, truth: str, harmonisation: 
         return {}
     every = np.ones(len(first), bool)
     values = _harmonise(first[[column]], first["site"], every, harmonisation)[column]
-    errors = (values - first[truth]).to_numpy()
-    at_site = _mark_sites(first["site"])
-
-    def difference(weights: Array) -> float:
-        """Return the largest difference of the weighted mean error between sites."""
-        return float(np.ptp((at_site * weights) @ errors / (at_site @ weights)))
-
-    def share(weights: Array) -> float:
-        """Return the fraction of the weighted variance that is between sites."""
-        means = (at_site * weights) @ errors / (at_site @ weights)
-        centre = weights @ errors / weights.sum()
-        total = weights @ (errors - centre) ** 2
-        return float((at_site @ weights) @ (means - centre) ** 2 / total) if total > 0 else float("nan")
-
-    drawn = _sample_weights(first["subject"].to_numpy(), at_site)
-    return _estimate("difference", difference, drawn) | _estimate("site_share", share, drawn)
+    table = _number_sites(values - first[truth], first)
+    return estimate_with_interval("difference", table, lambda values: float(np.ptp(_average_sites(values)[0]))) | (
+        estimate_with_interval("site_share", table, _compute_site_share)
+    )
 
 
 def _recognise(first: pd.DataFrame, names: list[str], harmonisation: str) -> dict[str, Any]:
@@ -150,7 +134,7 @@ def _recognise(first: pd.DataFrame, names: list[str], harmonisation: str) -> dic
     row: dict[str, Any] = {"knees": len(first), "sites": sites.nunique(), "chance": 1 / max(1, sites.nunique())}
     if not _has_enough_sites(first):
         return row
-    at_site, right = _mark_sites(sites), np.zeros(len(first))
+    right = np.zeros(len(first))
     folds = StratifiedGroupKFold(_FOLDS, shuffle=True, random_state=0)
     for training, tested in folds.split(first, sites, subjects):
         fitted = np.isin(np.arange(len(first)), training)
@@ -159,26 +143,30 @@ def _recognise(first: pd.DataFrame, names: list[str], harmonisation: str) -> dic
         model.fit(features[training], sites.iloc[training])
         right[tested] = model.predict(features[tested]) == sites.iloc[tested].to_numpy()
 
-    def score(weights: Array) -> float:
-        """Return the balanced accuracy of weighted knees: the mean over sites of the fraction recognised."""
-        return float(np.mean((at_site * weights) @ right / (at_site @ weights)))
-
-    drawn = _sample_weights(subjects, at_site)
-    return row | _estimate("balanced_accuracy", score, drawn)
-
-
-def _mark_sites(sites: pd.Series) -> Array:
-    """Return whether each knee is at each site: (sites, knees), 0 or 1."""
-    return (sites.to_numpy() == np.unique(sites)[:, None]).astype(np.float64)
+    # Balanced accuracy is the mean over sites of the fraction that is recognised.
+    table = _number_sites(pd.Series(right, first.index), first)
+    return row | estimate_with_interval(
+        "balanced_accuracy", table, lambda values: float(_average_sites(values)[0].mean())
+    )
 
 
-def _sample_weights(subjects: NDArray[Any], at_site: Array) -> Array:
-    """Sample the weights (replicates, knees) of bootstrap samples of subjects that include every site."""
-    drawn = sample_knee_weights(subjects, replicates=_REPLICATES, seed=0)
-    return drawn[((drawn @ at_site.T) > 0).all(axis=1)]
+def _number_sites(values: pd.Series, first: pd.DataFrame) -> pd.DataFrame:
+    """Return a table of values and numbers of sites, indexed by subject."""
+    numbers = pd.Series(pd.factorize(first["site"], sort=True)[0], first.index)
+    return pd.DataFrame({"value": values, "site": numbers}).set_index(first["subject"])
 
 
-def _estimate(name: str, compute: Callable[[Array], float], drawn: Array) -> dict[str, float]:
-    """Compute a statistic and its 95 % interval; `drawn` (replicates, knees) are the weights of bootstrap samples."""
-    low, high = np.nanpercentile([compute(weights) for weights in drawn], _PERCENTILES)
-    return {name: compute(np.ones(drawn.shape[1])), f"{name}_low": float(low), f"{name}_high": float(high)}
+def _average_sites(values: Array) -> tuple[Array, Array]:
+    """Return mean and number of the values of each site, from (knees, 2): value, and number of the site."""
+    sites = values[:, 1].astype(int)
+    counts = np.bincount(sites)
+    seen = counts > 0
+    return np.bincount(sites, values[:, 0])[seen] / counts[seen], counts[seen].astype(np.float64)
+
+
+def _compute_site_share(values: Array) -> float:
+    """Return the fraction of the variance that is between sites, from (knees, 2): value, and number of the site."""
+    means, counts = _average_sites(values)
+    centre = values[:, 0].mean()
+    total = ((values[:, 0] - centre) ** 2).sum()
+    return float(counts @ (means - centre) ** 2 / total) if total > 0 else float("nan")

@@ -115,10 +115,12 @@ def _summarise(table: pd.DataFrame, reader: str, measure: str, design: TrialDesi
         "change": untreated["change"].mean(),
         "change_sd": untreated["change"].std(ddof=1),
     }
-    row |= _estimate("sem", repeats, _compute_sem) | _estimate("icc", repeats, lambda values: icc(values)[0])
+    row |= estimate_with_interval("sem", repeats, _compute_sem) | estimate_with_interval(
+        "icc", repeats, lambda values: icc(values)[0]
+    )
     row |= {f"sdd{end}": 1.96 * np.sqrt(2) * row[f"sem{end}"] for end in ("", "_low", "_high")}
-    row |= _estimate("srm", untreated[["change"]], _compute_srm)
-    row |= _estimate("subjects_per_arm", changes, lambda values: _compute_size(values, fraction))
+    row |= estimate_with_interval("srm", untreated[["change"]], _compute_srm)
+    row |= estimate_with_interval("subjects_per_arm", changes, lambda values: _compute_size(values, fraction))
     if min(len(treated), len(untreated)) > 1:
         row["difference"] = treated["change"].mean() - untreated["change"].mean()
         row["p"] = float(stats.ttest_ind(treated["change"], untreated["change"], equal_var=False).pvalue)
@@ -205,8 +207,23 @@ def compute_subjects_per_arm(effect: float, sd_untreated: float, sd_treated: flo
     return float(np.ceil(needed))
 
 
-def _estimate(name: str, table: pd.DataFrame, compute: Callable[[Array], float]) -> dict[str, float]:
-    """Compute a statistic and its 95 % interval over bootstrap samples of the subjects."""
+def estimate_with_interval(name: str, table: pd.DataFrame, compute: Callable[[Array], float]) -> dict[str, float]:
+    """Compute a statistic and its 95 % interval over bootstrap samples of the subjects.
+
+    Parameters
+    ----------
+    name : str
+        Name of the statistic.
+    table : DataFrame
+        One row per knee; the index has the level ``subject``.
+    compute : callable
+        Function that computes the statistic from the values of the table, (knees, columns).
+
+    Returns
+    -------
+    dict of str to float
+        Statistic under its name, and limits of its interval with ``_low`` and ``_high``; NaN for fewer than 10 knees.
+    """
     values = table.to_numpy(np.float64)
     if len(values) < _MIN_KNEES:
         return {name: np.nan, f"{name}_low": np.nan, f"{name}_high": np.nan}
@@ -275,7 +292,7 @@ def _compare_variances(whole: pd.DataFrame, less: pd.DataFrame) -> dict[str, flo
         "knees": len(both),
         "sd_all": _compute_sem(values[:, :count]) if known else np.nan,
         "sd_without": _compute_sem(values[:, count:]) if known else np.nan,
-        **_estimate("share", both, share),
+        **estimate_with_interval("share", both, share),
     }
 
 

@@ -229,12 +229,16 @@ def _trace_contour(points_mm: Array, sides: Indices, ends_mm: tuple[float, float
 
 def _find_edges(points_mm: Array, touch_sign: float, tangents_deg: tuple[float, float]) -> list[tuple[float, float]]:
     """Find the lateral and medial points at which oblique lines touch a bone from above (+1) or below (-1)."""
-    turns = np.deg2rad(tangents_deg)
     touched = [
-        (points_mm @ (out * np.sin(turn), touch_sign * np.cos(turn))).argmax()
-        for out, turn in zip((-1.0, 1.0), turns, strict=True)
+        _find_touched(points_mm, touch_sign, out, turn) for out, turn in zip((-1.0, 1.0), tangents_deg, strict=True)
     ]
     return [(float(points_mm[k, 0]), float(points_mm[k, 1])) for k in touched]
+
+
+def _find_touched(points_mm: Array, touch_sign: float, out: float, tangent_deg: float) -> int:
+    """Return the index of the point that an oblique line touches on the lateral (`out` -1) or medial (+1) side."""
+    turn = np.deg2rad(tangent_deg)
+    return int((points_mm @ (out * np.sin(turn), touch_sign * np.cos(turn))).argmax())
 
 
 def _find_tibial_landmarks(points_mm: Array, tibia: Mesh, medial_sign: int) -> list[tuple[float, float]]:
@@ -267,10 +271,11 @@ def _find_plateau_edges(points_mm: Array, tibia: Mesh, medial_sign: int) -> list
     side, depth, height = (tibia.vertices * (medial_sign, 1.0, 1.0)).T
     aligned = np.column_stack((side, height - _measure_plateau_slope(side, depth, height) * depth))
     edges = []
-    for end, place in enumerate(_find_edges(aligned, +1.0, _TIBIAL_TANGENTS_DEG)):
-        touched = np.abs(aligned - place).sum(axis=1).argmin()
-        near = np.linalg.norm((tibia.vertices - tibia.vertices[touched]) / _EDGE_REACH_MM, axis=1) < 1.0
-        edges.append(_find_edges(points_mm[near], +1.0, _TIBIAL_TANGENTS_DEG)[end])
+    for out, turn in zip((-1.0, 1.0), _TIBIAL_TANGENTS_DEG, strict=True):
+        centre = tibia.vertices[_find_touched(aligned, +1.0, out, turn)]
+        near = points_mm[np.linalg.norm((tibia.vertices - centre) / _EDGE_REACH_MM, axis=1) < 1.0]
+        x, y = near[_find_touched(near, +1.0, out, turn)]
+        edges.append((float(x), float(y)))
     return edges
 
 
